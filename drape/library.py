@@ -29,6 +29,7 @@ from drape.avatar.own_garments import OwnGarments, body_of, dressed_in, halves_o
 from drape.avatar.rig_file import Dressed
 from drape.avatar.rig_motion import RigClip
 from drape.avatar.wearer import Wearer, read_wearer, wearer_name
+from drape.avatar.wears import reach_of, why_not
 from drape.avatar.worn_file import undressed_file, worn_on_rig
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.body.model import BodyModel
@@ -144,8 +145,8 @@ class Drape:
         ``size``: "S", "M", "L" or "XL" of all garments, or a list with one of each and None where a garment comes in
         one; a size takes seconds. ``options`` are the fields of ``DrapeOptions``, such as ``tier``, ``fabric``,
         ``hidden`` and ``colliders``.
-        Raises ``InputError`` for an unknown option or a value out of range, and ``NotFound`` for an unknown name
-        or size.
+        Raises ``InputError`` for an unknown option or a value out of range, ``NotFound`` for an unknown name or size,
+        and ``BodyError`` for a character that cannot wear one of them.
         """
         asked = [garments] if isinstance(garments, (str, Path, Garment)) else list(garments)
         wearer = None if on is None else self._character(Path(on))
@@ -163,6 +164,7 @@ class Drape:
             entries = Sizes(self.body, GARMENTS_DIR, entries).wear(Outfit(entries), size).layers
         body, halves = self.body, NEITHER
         if wearer is not None:
+            self._check_wears(wearer, entries)
             halves = halves_of([one.garment for one in entries], self.body)
             below, over = dressed_in(own, halves)
             entries = (*map(_own_entry, below), *entries, *map(_own_entry, over))
@@ -176,6 +178,11 @@ class Drape:
         shape = shape_array(betas, body)
         worn_by = None if wearer is None or on is None else WornBy(wearer, Path(on), halves)
         return Worn(self._runtime, scene, _checked(options), body, shape, worn_by)
+
+    def _check_wears(self, wearer: Wearer, entries: Sequence[Entry]) -> None:
+        for one in entries:
+            if (refusal := why_not(wearer.body, reach_of(one.garment, self.body), garment=one.id)) is not None:
+                raise refusal
 
     def _stages_of(self, body: BodyModel) -> BodyStages:
         if body.digest not in self._stages:

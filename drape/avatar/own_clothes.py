@@ -32,6 +32,15 @@ LEAST_SHARE = 0.2  # of a garment's vertices at a half of the body
 BELOW = 0.5  # the least cosine between a cloth's normal and the way to the skin that it lies on
 BARE_M = 0.02  # skin farther from the body than this leaves it bare
 GONE_M = 0.12  # clothes that were taken off lay so near to the body
+ENDS = {
+    "head": "head",
+    **{
+        f"{side}_{end}": f"{side}_{joint}"
+        for side in ("left", "right")
+        for end, joint in (("palm", "wrist"), ("sole", "ankle"))
+    },
+}  # where a fitted body is not the character's shape
+END_M = 0.06  # from the joint on
 
 
 class Halves(NamedTuple):
@@ -151,3 +160,35 @@ def bare_faces(
     left = faces[~off if loose is None else ~(off | loose)]
     stays = closest_point(middle, vertices, left).distance if len(left) else np.full(len(middle), np.inf)
     return (gone < GONE_M) & (stays > np.minimum(BARE_M, gone))
+
+
+def doubled_ends(body: BodyModel, weights: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Returns which faces (Fb,) bool of a character's bare ``body`` belong to a head, hands and feet that the character
+    has itself: beside these, those of the fitted body would be seen, in another size.
+
+    ``weights`` (V, 24) are those of its surface, ``faces`` (F, 3) what stays of it.
+    """
+    middle, own = body.v_template[body.faces].mean(axis=1), parts_of(body.weights)[body.faces[:, 0]]
+    there = np.unique(parts_of(weights)[faces])
+    doubled = np.zeros(len(middle), dtype=bool)
+    for number, part in enumerate(PARTS):
+        if part in ENDS and number in there:
+            joint = body.joints_template[JOINT_NAMES.index(ENDS[part])]
+            doubled |= (own == number) & (np.linalg.norm(middle - joint, axis=1) > END_M)
+    return doubled
+
+
+def bare_colours(
+    body: BodyModel, attire: Attire, vertices: np.ndarray, faces: np.ndarray, off: np.ndarray
+) -> np.ndarray:
+    """Returns the colours (Vb, 3), sRGB, of a character's bare ``body`` where the faces ``off`` (F,) of its surface are
+    gone: its skin's, and at the hips those of trousers that stay on, which a coat hid as high as that.
+
+    ``vertices`` [m] (V, 3) and ``faces`` (F, 3) are that surface.
+    """
+    colours = np.tile(np.asarray(attire.skin_colour), (body.vertex_count, 1))
+    stay = np.flatnonzero(attire.of_kinds(("trousers",)) & ~off)
+    hips = np.flatnonzero(np.isin(BONES[body.weights.argmax(axis=1)], ["pelvis", "hip"]))
+    if len(stay):
+        colours[hips] = attire.colours[stay[closest_point(body.v_template[hips], vertices, faces[stay]).face]]
+    return colours

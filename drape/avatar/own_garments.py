@@ -17,7 +17,17 @@ import numpy as np
 
 from drape.avatar.covered import ranges_of
 from drape.avatar.face_colours import texture_of
-from drape.avatar.own_clothes import LOWER, UPPER, Halves, bare_faces, halves_of, layers_of, taken_off, tucked
+from drape.avatar.own_clothes import (
+    LOWER,
+    UPPER,
+    Halves,
+    bare_faces,
+    doubled_ends,
+    halves_of,
+    layers_of,
+    taken_off,
+    tucked,
+)  # fmt: skip
 from drape.avatar.t_pose import TPose
 from drape.avatar.tucked import TuckedTop, tucked_top
 from drape.avatar.wearer import BareWearer, Wearer
@@ -163,10 +173,11 @@ def undressed(
     off = taken_off(wearer.attire, halves) | own
     tops = tucked(wearer.attire, halves) & ~off
     top = tucked_top(wearer, tops, cloth) if tops.any() else None
-    if top is None:
-        return Undressed(off, bare_faces(wearer.body, *surface, off, tops))
-    bare = bare_faces(wearer.body, *surface, off | (top.off & tops), tops)
-    return Undressed(off | top.off, bare & ~top.hidden, top)
+    if top is not None:
+        off |= top.off & tops
+    bare = bare_faces(wearer.body, *surface, off, tops)
+    bare &= ~doubled_ends(wearer.body, wearer.weights, wearer.faces[~off])
+    return Undressed(off, bare) if top is None else Undressed(off | top.off, bare & ~top.hidden, top)
 
 
 def dressed_in(own: Sequence[Garment], halves: Halves) -> tuple[list[Garment], list[Garment]]:

@@ -17,6 +17,7 @@ import scipy.sparse
 
 from drape.avatar.covered import DEEPER_M
 from drape.avatar.file_skeleton import FileRig, FileSkeleton
+from drape.avatar.own_clothes import bare_colours
 from drape.avatar.own_garments import Undressed
 from drape.avatar.rig_motion import RigClip, rig_motion
 from drape.avatar.rig_weights import blended, garment_weights, heaviest, undone, volume
@@ -80,8 +81,8 @@ def bare_file(wearer: Wearer, rig: FileRig, left: Undressed) -> GlbFile:
 
 
 def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig, left: Undressed) -> None:
-    """Adds what is seen where clothes of ``wearer`` are not drawn, which ``left`` says: skin in its mean colour, and a
-    top that is tucked in, in the colours of its faces.
+    """Adds what is seen where clothes of ``wearer`` are not drawn, which ``left`` says: skin in its mean colour (at
+    the hips in that of trousers that stay on), and a top that is tucked in, in the colours of its faces.
 
     Clients draw the top deeper than it is, by the node's ``deeper_m``. Both are skinned to the character's nodes, as
     ``add_dressed`` has them, in the unit of its file.
@@ -96,8 +97,9 @@ def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig,
         surface = MeshSurface(name, len(vertices), faces, np.zeros((0, 2)), *_NO_MATERIALS)
         corners, on = split_seams(surface), scipy.sparse.csr_matrix(weights) @ onto
         parts = _shape(file, corners, faces, vertices[None] / wearer.scale, on, blends, quantised=False)
-        shade = colours[0] if len(colours) == 1 else np.ones(3)
-        if len(colours) > 1:
+        plain = bool((colours == colours[0]).all())
+        shade = colours[0] if plain else np.ones(3)
+        if not plain:
             parts[0]["COLOR_0"] = file.array(
                 (colours[corners.source] ** GAMMA).astype(np.float32), target=VERTEX_BUFFER
             )
@@ -107,7 +109,7 @@ def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig,
     if left.bare.any():
         used, faces = np.unique(body.faces[left.bare], return_inverse=True)
         bare = BARE, body.v_template[used], faces.reshape(-1, 3), body.weights[used]
-        add(bare, np.array([attire.skin_colour]), {})
+        add(bare, bare_colours(body, attire, wearer.vertices, wearer.faces, left.off)[used], {})
     if top is not None:
         own, count = np.repeat(attire.colours[top.rows], 3, axis=0), np.bincount(top.faces.reshape(-1))
         sums = [np.bincount(top.faces.reshape(-1), channel) for channel in own.T]

@@ -53,16 +53,25 @@ def t_posed(character: Character, rig: Rig) -> TPose:
     rest, placed = _joints(character, rig, undone)
     moves = placed - np.einsum("jab,jb->ja", undone, rest)
     moved = np.einsum("vj,jab,vb->va", weights, undone, character.vertices, optimize=True) + weights @ moves
-    own = np.arange(len(moved))
-    if character.hung is not None and character.hung.any():
-        own = np.setdiff1d(own, character.faces[character.hung])
+    known = np.array([name in rig.sources for name in JOINT_NAMES])
+    own = _measured(character, moved, placed[known])
     height = max(float(np.ptp(moved[own, 1])), 1e-9)
     fitting = [scale for scale in UNIT_SCALES if HEIGHTS_M[0] <= height * scale <= HEIGHTS_M[1]]
     scale = fitting[0] if fitting else ADULT_HEIGHT_M / height
     floor = np.array([0.0, scale * moved[own, 1].min(), 0.0])
-    known = np.array([name in rig.sources for name in JOINT_NAMES])
     placed = np.where(known[:, None], scale * placed - floor, np.nan)
     return TPose(scale * moved - floor, character.faces, weights, placed, scale, scale * height)
+
+
+def _measured(character: Character, moved: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """The rows (n,) of the ``moved`` vertices that tell a height: those that are skinned, without hats and the like;
+    all where these do not reach from the lowest of the ``joints`` to the highest, as of a robot of plates."""
+    own = np.arange(len(moved))
+    if character.hung is None or not character.hung.any():
+        return own
+    skinned = np.setdiff1d(own, character.faces[character.hung])
+    height, ends = moved[skinned, 1], (joints[:, 1].min(), joints[:, 1].max())
+    return skinned if len(skinned) and height.min() < ends[0] and height.max() > ends[1] else own
 
 
 def _joints(character: Character, rig: Rig, undone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,6 +20,7 @@ from drape.garment.rest_pose import skirt_blend
 from drape.geometry.closest import nearest_vertices
 
 THICKEST = 0.45  # of the length of a leg: persons have 0.1, stylised children 0.2, figures of games 0.53 and more
+STOUTEST = 0.6  # skirts, dresses and shorts stand off legs that are thicker, and are trodden on
 HIP, KNEE, ANKLE = (JOINT_NAMES.index(f"left_{joint}") for joint in ("hip", "knee", "ankle"))
 LEAST_SHARE = 0.1  # of a garment's vertices at the shins, to go round them
 
@@ -58,12 +59,13 @@ def legs_thickness(body: BodyModel) -> float:
 def why_not(body: BodyModel, reach: Reach, *, garment: str) -> BodyError | None:
     """Returns the refusal of a ``garment`` of this ``reach`` for ``body``, which is laid on a character; None if the
     character can wear it."""
-    thickness = legs_thickness(body) if reach.legs else 0.0
-    if thickness <= THICKEST:
+    limit = THICKEST if reach.legs else STOUTEST
+    thickness = legs_thickness(body) if reach.legs or reach.halves.lower else 0.0
+    if thickness <= limit:
         return None
     return BodyError(
         f"{garment} on {body.name}",
-        expected=f"legs at most {THICKEST:g} times as thick as long",
+        expected=f"legs at most {limit:g} times as thick as long",
         got=f"{thickness:.2f} times",
-        cure="Choose a skirt, shorts or a dress.",
+        cure="Choose a skirt, shorts or a dress." if thickness <= STOUTEST else "Choose a top.",
     )

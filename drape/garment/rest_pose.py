@@ -41,6 +41,7 @@ LEGS = {
 TROUSERS_CROTCH_M = 0.08  # trousers hang at most this far below the body's crotch before their legs part
 SKIRT_SHARE = 0.2  # of a piece of cloth below the crotch that must lie at each leg for it to be a skirt
 HIP_BAND_M = 0.10
+LEAST_TRUST = 1e-3  # that cloth which is all skirt stays where its shape puts it
 PN_LIMIT = 0.15  # a subdivision vertex leaves its edge by at most this share of the edge's length
 DENSE = 0.6  # of the edge that is asked for: cloth so fine may have fewer vertices
 
@@ -87,8 +88,16 @@ def to_standard(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: B
     averaging = own_skin_weights(vertices, sleeve, avatar, body)
     moved = moved_with_skin(vertices, faces, averaging, avatar, body, body.v_template)
     if skirt.any():
-        moved += skirt[:, None] * (_shape_only(vertices, avatar, body) - moved)
+        hung = _shape_only(vertices, avatar, body)
+        hung += _carried_on(moved - hung, skirt == 0.0, vertices, faces)
+        moved += skirt[:, None] * (hung - moved)
     return MovedGarment(moved, skirt)
+
+
+def _carried_on(gap: np.ndarray, above: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Returns ``gap`` (V, 3) of the vertices ``above`` (V,) a skirt, carried on smoothly over those of the skirt."""
+    system = scipy.sparse.diags(above + LEAST_TRUST) + _laplacian(vertices, faces, SHAPE_SMOOTHING_M)
+    return symmetric_factor(system).solve(above[:, None] * gap)
 
 
 def moved_with_skin(
@@ -161,11 +170,14 @@ def surface_weights(points: np.ndarray, avatar: Avatar, counts: np.ndarray | Non
 
 def smoother(vertices: np.ndarray, faces: np.ndarray, length_m: float):
     """A function that smooths fields (V, C) along the mesh over ``length_m``: (I + length^2 L)^-1, constants kept."""
+    return symmetric_factor(scipy.sparse.identity(len(vertices)) + _laplacian(vertices, faces, length_m)).solve
+
+
+def _laplacian(vertices: np.ndarray, faces: np.ndarray, length_m: float) -> scipy.sparse.csr_matrix:
     edges = meshes.unique_edges(faces)
     inverse_square = (length_m / np.maximum(meshes.edge_lengths(vertices, edges), 1e-4)) ** 2
     # About six neighbours lie in the plane: a third of the sum is the Laplacian's scale.
-    laplacian = mesh_graphs.weighted_laplacian(mesh_graphs.edge_matrix(edges, inverse_square, len(vertices)))
-    return symmetric_factor(scipy.sparse.identity(len(vertices)) + laplacian / 3.0).solve
+    return mesh_graphs.weighted_laplacian(mesh_graphs.edge_matrix(edges, inverse_square, len(vertices))) / 3.0
 
 
 def skirt_blend(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: BodyModel) -> np.ndarray:
@@ -204,7 +216,11 @@ def skirt_blend(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: B
 
 
 def _shape_only(vertices: np.ndarray, avatar: Avatar, body: BodyModel) -> np.ndarray:
-    """Vertices moved with the pelvis and scaled by the bodies' hips and legs, whatever the legs' pose."""
+    """Vertices moved with the pelvis and by the bodies' hips and legs, whatever the legs' pose.
+
+    Across, what stands off the hips keeps its distance from them, as cloth above does: scaled, a wide skirt had a step
+    at the crotch of narrow hips.
+    """
     source, target = avatar.vertices, body.v_template
     hips = [LEGS["left"][0], LEGS["right"][0]]
     joints = [body.regressor @ shape for shape in (source, target)]
@@ -217,7 +233,11 @@ def _shape_only(vertices: np.ndarray, avatar: Avatar, body: BodyModel) -> np.nda
     scale = np.ptp(target[pelvis], axis=0) / np.ptp(turned[pelvis], axis=0)
     leg = [np.linalg.norm(j[LEGS["left"][2]] - j[LEGS["left"][0]]) for j in joints]
     scale[1] = leg[1] / leg[0]
-    return (vertices @ rotation[0].T - centre[0]) * scale + centre[1]
+    at = vertices @ rotation[0].T - centre[0]
+    out = np.linalg.norm((at / (0.5 * np.ptp(turned[pelvis], axis=0)))[:, ::2], axis=1)  # 1 at the hips' sides
+    at[:, ::2] /= np.maximum(out, 1.0)[:, None]
+    wider = at * (scale - 1.0)
+    return vertices @ rotation[0].T - centre[0] + wider + centre[1]
 
 
 def subdivide_smooth(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

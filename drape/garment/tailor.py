@@ -27,7 +27,7 @@ from drape.geometry import meshes
 
 ROUNDS = 12
 ANY_M = np.inf  # thighs of characters may touch or overlap: no depth is a fault of the cloth, frames lift what is left
-VERSION = 2  # raised when a change here changes the garments that come out
+VERSION = 3  # raised when a change here changes the garments that come out
 
 
 def tailored_digest(garment: Garment, wearer: BodyModel) -> str:

@@ -9,7 +9,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import drape
+from drape.avatar import wears
 from drape.command import main
+from drape.errors import BodyError
 from drape.motion.clip import MotionClip
 from drape.scenes import scene
 from tests.drape.test_distilling import clip, me, opened
@@ -45,6 +47,15 @@ def test_a_scene_has_the_skin_below_the_cloth_and_the_frames_of_both(
     both = np.concatenate([skin.vertices, cloth.vertices], axis=1)
     assert_allclose(places[:, : both.shape[1]], both, rtol=0, atol=1e-5)
     assert len(mesh.json["meshes"]) == 1
+
+
+def test_a_character_that_cannot_wear_a_garment_refuses_it_at_once(
+    opened: drape.Drape, me: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """As a service does, and before anything is cut."""
+    monkeypatch.setattr(wears, "THICKEST", 0.01)
+    with pytest.raises(BodyError, match=r"trousers on .* at most 0.01 times"):
+        opened.wear("trousers", on=me)
 
 
 def test_without_a_character_the_garments_are_alone(opened: drape.Drape, short: MotionClip):

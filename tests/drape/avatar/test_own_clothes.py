@@ -11,14 +11,24 @@ import trimesh
 
 from drape.avatar.attire import Attire
 from drape.avatar.character import character_in
-from drape.avatar.own_clothes import Halves, _without_skin, bare_faces, taken_off, tucked
+from drape.avatar.own_clothes import (
+    END_M,
+    Halves,
+    _without_skin,
+    bare_colours,
+    bare_faces,
+    doubled_ends,
+    taken_off,
+    tucked,
+)
 from drape.avatar.own_garments import Undressed, undressed
-from drape.avatar.rig_file import bare_file
+from drape.avatar.rig_file import GAMMA, bare_file
 from drape.avatar.t_pose import TPose
 from drape.avatar.tucked import BELOW_M
 from drape.avatar.wearer import UPPER, Wearer, load_wearer, read_wearer, save_wearer
 from drape.avatar.wears import THICKEST, legs_thickness, reach_of, why_not
 from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
 from drape.catalog import find_garments, open_garment
 from drape.files.gltf import GltfFile
 from drape.garment.cache import Garment
@@ -184,6 +194,41 @@ def test_no_hole_is_left_where_clothes_come_off(cut_away: Wearer):
     assert not bare_faces(body, cut_away.vertices, cut_away.faces, np.zeros(len(off), dtype=bool)).any()
 
 
+def test_what_a_top_bared_at_the_hips_has_the_colour_of_the_trousers(cut_away: Wearer):
+    """A coat hid how high they go: skin would be seen between them and a shorter shirt in a squat."""
+    body, file = cut_away.body, cut_away.file
+    off = taken_off(cut_away.attire, Halves(True, False))
+    bare = bare_faces(body, cut_away.vertices, cut_away.faces, off)
+    surface = cut_away.vertices, cut_away.faces
+    colours = bare_colours(body, cut_away.attire, *surface, off)
+    rows = {name: body.weights.argmax(axis=1) == JOINT_NAMES.index(name) for name in ("pelvis", "spine3")}
+    painted = {kind: np.array(COLOURS[kind]) ** (1.0 / GAMMA) for kind in ("trousers", "skin")}
+    assert np.abs(colours[rows["pelvis"]] - painted["trousers"]).max() < 0.02
+    assert np.abs(colours[rows["spine3"]] - painted["skin"]).max() < 0.02
+    assert file is not None
+    made = GltfFile(bare_file(cut_away, file, Undressed(off, bare)).to_bytes())
+    assert "COLOR_0" in made.item("meshes", 0).primitives[0].attributes
+    every = taken_off(cut_away.attire, Halves(True, True))
+    assert (bare_colours(body, cut_away.attire, *surface, every) == cut_away.attire.skin_colour).all()
+
+
+def test_a_character_keeps_its_own_head_and_hands(cut_away: Wearer):
+    """Of the fitted body, whose head and hands have another size, none are seen beside them."""
+    body, weights, faces = cut_away.body, cut_away.weights, cut_away.faces
+    doubled = doubled_ends(body, weights, faces)
+    middle, bone = body.v_template[body.faces].mean(axis=1), body.weights[body.faces[:, 0]].argmax(axis=1)
+    for end in ("head", "left_wrist", "right_ankle"):
+        far = np.linalg.norm(middle - body.joints_template[JOINT_NAMES.index(end)], axis=1) > END_M
+        own = (bone == JOINT_NAMES.index(end)) & far
+        assert own.any() and doubled[own].mean() > 0.9
+        assert not doubled[~far & (bone == JOINT_NAMES.index(end))].any()
+    headless = faces[(weights[faces[:, 0], JOINT_NAMES.index("head")] < 0.01)]
+    assert not doubled_ends(body, weights, headless)[bone == JOINT_NAMES.index("head")].any()
+    every = Halves(True, True)
+    left = undressed(cut_away, np.zeros(len(faces), dtype=bool), [], every)
+    assert left.bare.any() and not (left.bare & doubled).any()
+
+
 def test_bare_skin_lies_on_the_character_s_own_nodes(cut_away: Wearer):
     """Skinned by the nodes of its file, which stand in T-pose, it is the body that was laid below."""
     halves = Halves(True, True)
@@ -229,6 +274,12 @@ def test_legs_as_thick_as_long_wear_no_trousers(body: BodyModel, shelf: dict[str
     assert refusal is not None and "0.50 times" in str(refusal)
     assert why_not(thick, reach_of(shelf["skirt"], body), garment="skirt") is None
     assert why_not(body, reach_of(shelf["trousers"], body), garment="trousers") is None
+    vertices[own] += 0.3 * (across * (radius_m / np.linalg.norm(across, axis=1))[:, None])
+    stout = BodyModel("stout", "d", vertices, body.shapedirs, regressor, body.weights, body.faces)
+    for name in ("trousers", "skirt", "dress"):
+        refusal = why_not(stout, reach_of(shelf[name], body), garment=name)
+        assert refusal is not None and "0.65 times" in str(refusal) and refusal.cure == "Choose a top."
+    assert why_not(stout, reach_of(shelf["tshirt"], body), garment="tshirt") is None
 
 
 def _without(body: BodyModel, own: np.ndarray):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -92,6 +94,16 @@ def test_skirt_takes_shape_but_not_the_legs_pose():
     assert moved.loose[low].min() > 0.99
     assert_allclose(moved.vertices[low], vertices[low], rtol=0, atol=0.02)
     assert strain(vertices, moved.vertices, faces).mean() < 0.05
+
+
+def test_a_wide_skirt_has_no_step_on_narrow_hips():
+    """Cloth keeps its distance from the skin above the hips, and what hangs from them does too."""
+    vertices, faces = skirt(BODY)
+    narrow = replace(BODY, v_template=BODY.v_template * [0.7, 1.0, 0.7], digest="narrow")
+    moved = to_standard(vertices, faces, Avatar(BODY.v_template, BODY.faces, 0.0, "wide"), narrow)
+    order = np.argsort(-vertices[:, 1], kind="stable").reshape(-1, 40)  # ring by ring, downwards
+    radius = np.hypot(moved.vertices[order, 0], moved.vertices[order, 2] - 0.7 * 0.02).mean(axis=1)
+    assert np.diff(radius).min() > -0.002  # -0.0055 where a skirt was scaled by the hips
 
 
 def test_smoother_keeps_constants_and_damps_noise(rng: np.random.Generator):
