@@ -24,7 +24,7 @@ from pydantic import ValidationError
 
 from drape.avatar.covered import UNSEEN_M, covered_faces
 from drape.avatar.file_skeleton import FileRig
-from drape.avatar.own_clothes import NEITHER, Halves, halves_of
+from drape.avatar.own_clothes import NEITHER, Halves, joined_halves
 from drape.avatar.own_garments import OwnGarments, body_of, dressed_in, halves_on, own_faces, own_garments, undressed
 from drape.avatar.rig_file import Dressed
 from drape.avatar.rig_motion import RigClip
@@ -164,8 +164,7 @@ class Drape:
             entries = Sizes(self.body, GARMENTS_DIR, entries).wear(Outfit(entries), size).layers
         body, halves = self.body, NEITHER
         if wearer is not None:
-            self._check_wears(wearer, entries)
-            halves = halves_of([one.garment for one in entries], self.body)
+            halves = self._halves_on(wearer, entries)
             below, over = dressed_in(own, halves)
             entries = (*map(_own_entry, below), *entries, *map(_own_entry, over))
             body = wearer.body_under(halves_on(wearer, [one.garment for one in entries], self.body))
@@ -179,10 +178,13 @@ class Drape:
         worn_by = None if wearer is None or on is None else WornBy(wearer, Path(on), halves)
         return Worn(self._runtime, scene, _checked(options), body, shape, worn_by)
 
-    def _check_wears(self, wearer: Wearer, entries: Sequence[Entry]) -> None:
-        for one in entries:
-            if (refusal := why_not(wearer.body, reach_of(one.garment, self.body), garment=one.id)) is not None:
+    def _halves_on(self, wearer: Wearer, entries: Sequence[Entry]) -> Halves:
+        """The halves of ``wearer`` on which ``entries`` lie; refuses what it cannot wear."""
+        reaches = [reach_of(one.garment, self.body) for one in entries]
+        for one, reach in zip(entries, reaches, strict=True):
+            if (refusal := why_not(wearer.body, reach, garment=one.id)) is not None:
                 raise refusal
+        return joined_halves([reach.halves for reach in reaches])
 
     def _stages_of(self, body: BodyModel) -> BodyStages:
         if body.digest not in self._stages:

@@ -8,7 +8,7 @@ stays on is tucked into trousers of ours.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -32,14 +32,7 @@ LEAST_SHARE = 0.2  # of a garment's vertices at a half of the body
 BELOW = 0.5  # the least cosine between a cloth's normal and the way to the skin that it lies on
 BARE_M = 0.02  # skin farther from the body than this leaves it bare
 GONE_M = 0.12  # clothes that were taken off lay so near to the body
-ENDS = {
-    "head": "head",
-    **{
-        f"{side}_{end}": f"{side}_{joint}"
-        for side in ("left", "right")
-        for end, joint in (("palm", "wrist"), ("sole", "ankle"))
-    },
-}  # where a fitted body is not the character's shape
+ENDS = {"head": "head", "palm": "wrist", "sole": "ankle"}  # parts where a fitted body is not the character's shape
 END_M = 0.06  # from the joint on
 
 
@@ -51,6 +44,11 @@ class Halves(NamedTuple):
 
 
 NEITHER = Halves(False, False)
+
+
+def joined_halves(halves: Sequence[Halves]) -> Halves:
+    """The halves on which one at least of ``halves`` says that garments lie."""
+    return Halves(any(one.upper for one in halves), any(one.lower for one in halves))
 
 
 def halves_of(garments: Iterable[Garment], body: BodyModel) -> Halves:
@@ -172,8 +170,9 @@ def doubled_ends(body: BodyModel, weights: np.ndarray, faces: np.ndarray) -> np.
     there = np.unique(parts_of(weights)[faces])
     doubled = np.zeros(len(middle), dtype=bool)
     for number, part in enumerate(PARTS):
-        if part in ENDS and number in there:
-            joint = body.joints_template[JOINT_NAMES.index(ENDS[part])]
+        plain = plain_part(part)
+        if plain in ENDS and number in there:
+            joint = body.joints_template[JOINT_NAMES.index(part.removesuffix(plain) + ENDS[plain])]
             doubled |= (own == number) & (np.linalg.norm(middle - joint, axis=1) > END_M)
     return doubled
 

@@ -24,6 +24,7 @@ from drape.avatar.own_clothes import (
     bare_faces,
     doubled_ends,
     halves_of,
+    joined_halves,
     layers_of,
     taken_off,
     tucked,
@@ -137,8 +138,8 @@ def own_faces(wearer: Wearer, garments: Iterable[Garment]) -> np.ndarray:
 def halves_on(wearer: Wearer, garments: Sequence[Garment], standard: BodyModel) -> Halves:
     """``halves_of`` garments of which some lie on the ``standard`` body, and others are the character's own."""
     own = [garment for garment in garments if OWN in garment.manifest]
-    found = halves_of([garment for garment in garments if OWN not in garment.manifest], standard)
-    return Halves(*(a or b for a, b in zip(found, halves_of(own, wearer.body), strict=True)))
+    others = [garment for garment in garments if OWN not in garment.manifest]
+    return joined_halves([halves_of(others, standard), halves_of(own, wearer.body)])
 
 
 class Undressed(NamedTuple):

@@ -230,14 +230,15 @@ def _shape_only(vertices: np.ndarray, avatar: Avatar, body: BodyModel) -> np.nda
     # Above the hip joints the legs' pose does not show in the body's width.
     pelvis = body.weights[:, [0, *hips]].sum(axis=1) > 0.5
     pelvis &= (turned[:, 1] > centre[0][1]) & (turned[:, 1] < centre[0][1] + HIP_BAND_M)
-    scale = np.ptp(target[pelvis], axis=0) / np.ptp(turned[pelvis], axis=0)
+    size = np.ptp(turned[pelvis], axis=0)
+    scale = np.ptp(target[pelvis], axis=0) / size
     leg = [np.linalg.norm(j[LEGS["left"][2]] - j[LEGS["left"][0]]) for j in joints]
     scale[1] = leg[1] / leg[0]
     at = vertices @ rotation[0].T - centre[0]
-    out = np.linalg.norm((at / (0.5 * np.ptp(turned[pelvis], axis=0)))[:, ::2], axis=1)  # 1 at the hips' sides
-    at[:, ::2] /= np.maximum(out, 1.0)[:, None]
-    wider = at * (scale - 1.0)
-    return vertices @ rotation[0].T - centre[0] + wider + centre[1]
+    out = np.linalg.norm((at / (0.5 * size))[:, ::2], axis=1)  # 1 at the hips' sides
+    on_hips = at.copy()
+    on_hips[:, ::2] /= np.maximum(out, 1.0)[:, None]
+    return at + on_hips * (scale - 1.0) + centre[1]
 
 
 def subdivide_smooth(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from drape.avatar.own_clothes import Halves
+from drape.avatar.own_clothes import Halves, joined_halves
 from drape.avatar.own_garments import MARK, OWN, body_of, dressed_in
 from drape.avatar.wearer import Wearer, load_wearer
 from drape.avatar.wears import Reach, reach_of, why_not
@@ -281,8 +281,7 @@ class Avatars:
         return {key: None if refusal is None else str(refusal) for key, refusal in found.items()}
 
     def _halves(self, layers: Sequence[Entry]) -> Halves:
-        found = [self._reach(layer).halves for layer in layers]
-        return Halves(any(one.upper for one in found), any(one.lower for one in found))
+        return joined_halves([self._reach(layer).halves for layer in layers])
 
     def _reach(self, entry: Entry) -> Reach:
         digest = entry.garment.digest

@@ -30,10 +30,10 @@ log = logging.getLogger("drape.service")
 
 
 class ConstantsProcess:
-    """Calls functions of modules in a process of its own while that is ``wanted``. Otherwise one call at a time is made
-    in this process, and those beside it in the other: two processors work then.
+    """Calls functions of modules in a process of its own while that is ``wanted``, and otherwise in this process. Of
+    calls beside each other one is made here then, and the others there if that process runs: two processors work.
 
-    The process is started when it is first needed. It makes one call at a time, for any thread.
+    The process is started when it is first wanted, or by ``begin``. It makes one call at a time, for any thread.
     """
 
     def __init__(self, wanted: Callable[[], bool]) -> None:
@@ -52,11 +52,14 @@ class ConstantsProcess:
     def call(self, function: Callable[P, Result], *arguments: P.args, **named: P.kwargs) -> Result:
         """Returns ``function(*arguments, **named)`` as the process computes it, or raises what it raised. If the
         process is lost, the call is made here."""
-        if not self._wanted() and self._here.acquire(blocking=False):
-            try:
+        if not self._wanted():
+            if self._process is None:
                 return function(*arguments, **named)
-            finally:
-                self._here.release()
+            if self._here.acquire(blocking=False):
+                try:
+                    return function(*arguments, **named)
+                finally:
+                    self._here.release()
         try:
             waits_for(self._spent_s)
             with self._one:

@@ -51,7 +51,7 @@ def test_where_it_is_not_wanted_calls_are_made_here():
 
 def test_beside_a_call_that_is_made_here_another_is_made_in_the_process():
     process = ConstantsProcess(lambda: False)
-    assert process._process is None
+    assert process.call(process.call, os.getpid) == os.getpid() and process._process is None, "none is started for that"
     process.begin()
     assert process._process is not None
     begun, end = threading.Event(), threading.Event()
