@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from benchmarks.scenes import FPS
+from benchmarks.cases import FPS
 from benchmarks.served import plan_of
 from drape.live import card_lane
 from drape.live.card_lane import Lane
