@@ -53,7 +53,9 @@ RECORDS: dict[str, dict[str, str]] = {
     },
     "Tangles": dict.fromkeys(("corner", "across", "start", "beside"), "int32s"),
     # What a card alone reads; empty where a processor computes.
-    "SolveStages": dict.fromkeys(("block", "to", "entry", "taken"), "int32s") | {"value": "numbers"},
+    "PanelLevels": dict.fromkeys(
+        ("row_start", "row_panel", "row", "column_start", "column", "panel", "left", "to"), "int32s"
+    ),
     "StiffnessFactor": {
         "place": "int32s",
         "column": "int32s",
@@ -63,7 +65,7 @@ RECORDS: dict[str, dict[str, str]] = {
         "entry": "int32s",
         "value": "numbers",
         "inverse": "numbers",
-        "stages": "SolveStages",
+        "levels": "PanelLevels",
     },
     "FoldConstants": {
         "sheet": "Sheet",

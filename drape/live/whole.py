@@ -41,23 +41,27 @@ from drape.live.sheet import Sheet
 SPRING = 0.2
 
 
-class SolveStages(NamedTuple):
-    """The solve of a card as products, one after the other, of which each is computed at once.
+class PanelLevels(NamedTuple):
+    """The order in which a card multiplies panels: all of a level at once. A panel is a level above those with members
+    among its columns.
 
-    Stage n has the blocks from ``block[n]`` (N + 1,) on. A block adds up ``LANES`` rows: those of ``to`` (B * LANES,),
-    none where it is negative. Of its columns, from ``entry[b]`` (B + 1,) on, each has a row ``taken`` (E,) that it is
-    of and ``value`` (E * LANES,). Rows from V on are those of the result.
+    Level n has the entries from ``row_start[n]`` (L + 1,) of ``row_panel`` and ``row``: ``LANES`` rows of a panel, from
+    that one on. Its columns are in ``column`` (V,) from ``column_start[n]`` (L + 1,) on. ``panel`` (V,) is the one that
+    a column is of. What panels leave for column j lies from ``left[j]`` (V + 1,) on, as they come, and the columns
+    between the two ways behind all of it: ``to``, as long as ``member``, is where each member's number goes.
     """
 
-    block: np.ndarray
+    row_start: np.ndarray
+    row_panel: np.ndarray
+    row: np.ndarray
+    column_start: np.ndarray
+    column: np.ndarray
+    panel: np.ndarray
+    left: np.ndarray
     to: np.ndarray
-    entry: np.ndarray
-    taken: np.ndarray
-    value: np.ndarray
 
 
-_NONE = np.zeros(0, np.int32)
-NO_STAGES = SolveStages(_NONE, _NONE, _NONE, _NONE, np.zeros(0, np.float32))  # what processors have
+NO_LEVELS = PanelLevels(*[np.zeros(0, np.int32)] * 8)  # what processors have
 
 
 class StiffnessFactor(NamedTuple):
@@ -66,7 +70,7 @@ class StiffnessFactor(NamedTuple):
     Panel p has the columns from ``column[p]`` to ``column[p + 1]`` (N + 1,). Its ``size`` (N,) members are its columns
     and the rows below; they are in ``member`` from ``start[p]`` (N + 1,) on, followed by its first column up to a
     multiple of ``LANES``. Its numbers are in ``value`` from ``entry[p]`` (N,) on, column after column. ``place`` (V,)
-    is where each row is in a sheet. ``stages`` are those of a card.
+    is where each row is in a sheet. ``levels`` are those of a card.
     """
 
     place: np.ndarray
@@ -77,7 +81,7 @@ class StiffnessFactor(NamedTuple):
     entry: np.ndarray
     value: np.ndarray
     inverse: np.ndarray
-    stages: SolveStages = NO_STAGES
+    levels: PanelLevels = NO_LEVELS
 
 
 def stiffness(cloth: ClothMesh, material: Material, band_n_per_m: np.ndarray) -> Any:

@@ -18,16 +18,15 @@
 constexpr double CLAMP_M = 0.02;  // a step moves no vertex farther
 
 #ifdef ONE_LANE
-#include "stages_one.hpp"
+#include "panels_one.hpp"
 #else
 // The numbers that s has in solve.
 template <class T> INLINE int64_t solve_room(const StiffnessFactor<T>& factor) {
   return 3 * (factor.place.count + LANES);
 }
 
-// Replaces y (V, 3), in the factor's order, by K^-1 y, and returns it (a card: s). s has three rows for every sixteen
-// members of the largest panel.
-template <class T> DEVICE const T* solve(const StiffnessFactor<T>& factor, T* y, T* s) {
+// Replaces y (V, 3), in the factor's order, by K^-1 y. s has three rows for every sixteen members of the largest panel.
+template <class T> DEVICE void solve(const StiffnessFactor<T>& factor, T* y, T* s) {
   const int64_t panels = factor.size.count, count = factor.place.count;
   for (int64_t panel = 0; panel < panels; ++panel) {
     const int64_t first = factor.column[panel], last = factor.column[panel + 1], begin = factor.start[panel];
@@ -60,7 +59,6 @@ template <class T> DEVICE const T* solve(const StiffnessFactor<T>& factor, T* y,
       put_point(y, j, point(y, j) + sums<T>(sum));
     }
   }
-  return y;
 }
 #endif
 
@@ -69,10 +67,10 @@ template <class T> DEVICE const T* solve(const StiffnessFactor<T>& factor, T* y,
 template <class T> DEVICE void whole_step(T* x, const StiffnessFactor<T>& factor, const T* gradient, T* q, T* s) {
   const int64_t count = factor.place.count;
   for (int64_t i : each(count)) put_point(q, i, scaled(T(-1), point(gradient, factor.place[i])));
-  const T* found = solve(factor, q, s);
+  solve(factor, q, s);
   T square = 0;
   for (int64_t i : each(count)) {
-    T own = dot(point(found, i), point(found, i));
+    T own = dot(point(q, i), point(q, i));
     if (!(own <= square) && square == square) square = own;  // NaN, once met, stays
   }
   square = most_of_all(square);
@@ -80,6 +78,6 @@ template <class T> DEVICE void whole_step(T* x, const StiffnessFactor<T>& factor
   const T length = root(square), clamp = T(CLAMP_M), share = clamp / (length > clamp ? length : clamp);
   for (int64_t i : each(count)) {
     const int64_t place = factor.place[i];
-    put_point(x, place, plus(point(x, place), share, point(found, i)));
+    put_point(x, place, plus(point(x, place), share, point(q, i)));
   }
 }

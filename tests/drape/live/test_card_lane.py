@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 
 from drape.engine import card_frames
 from drape.errors import Unavailable
@@ -28,15 +27,18 @@ EFFORT = FoldEffort(1, settle=1)
 @pytest.fixture
 def lane(monkeypatch: pytest.MonkeyPatch) -> Iterator[Lane]:
     monkeypatch.setattr(card_lane, "LOST_S", 60.0)  # the emulation is slow
+    monkeypatch.setattr(card_lane, "GATHERED_S", 0.03)  # and threads of a busy machine come late
     made = Lane(paper_card)
     yield made
     made.close()
 
 
-def frames(tank: TwoLevel, still: Frame, lane: Lane | None, count: int) -> list[np.ndarray]:  # noqa: F811
-    """So many frames of a stream whose drape sways; the first one is the processor's."""
+def frames(tank: TwoLevel, still: Frame, lane: Lane | None, count: int, call: str = "") -> list[np.ndarray]:  # noqa: F811
+    """So many frames of a stream whose drape sways. The driver's ``call`` fails from the last one on."""
     memory, found = None, []
     for number in range(count):
+        if call and number == count - 1:
+            fails(call)
         moved = np.float32(0.004 * np.sin(number)) * np.array([1, 0, 0], np.float32)
         frame = replace(still, vertices=still.vertices + moved, time_s=number / 30)
         vertices, memory, _ = tank.fold(memory, frame, EFFORT, lane.compute if lane else None)
@@ -49,21 +51,19 @@ def test_streams_share_launches_and_are_the_engines(lane: Lane, tank: TwoLevel, 
         found = list(threads.map(lambda _: frames(tank, still, lane, 2), range(3)))
     wanted = frames(tank, still, None, 2)
     for stream in found:
-        for one, other in zip(stream, wanted, strict=True):
-            assert_allclose(one, other, rtol=0, atol=1e-5)  # of a free run
+        assert [one.tobytes() for one in stream] == [one.tobytes() for one in wanted]
     told = lane.report()
-    assert told.frames == 3 and told.launches < told.frames and told.frames_a_launch > 1
+    assert told.frames == 6 and told.launches < told.frames and told.frames_a_launch > 1
     assert told.card == "Card of paper" and told.fault == "" and 0 < told.occupied < 1 and 0 < told.busy <= 1
     assert len(lane._left) == 3 and told.queue_s == 0.0  # what rests is what the streams' next frames read
 
 
 @each(call=("cuMemcpyHtoD_v2", "cuLaunchKernel", "cuMemcpyDtoH_v2"))  # before, at and after a launch
 def test_a_card_that_fails_in_a_frame_loses_nothing(lane: Lane, tank: TwoLevel, still: Frame, call: str):  # noqa: F811
-    fails(call)
-    found = frames(tank, still, lane, 2)
+    found = frames(tank, still, lane, 2, call)
     for one, other in zip(found, frames(tank, still, None, 2), strict=True):
         assert one.tobytes() == other.tobytes()  # by the processor, from what the host has
-    assert not lane.works and lane.fault == f"Card of paper: {call}: unspecified launch failure"
+    assert lane.frames == 1 and not lane.works and lane.fault == f"Card of paper: {call}: unspecified launch failure"
     assert lane.room(card_frames.Record("FoldEffort", EFFORT)) == 0
 
 
@@ -88,8 +88,8 @@ def test_frames_that_find_no_room_are_the_processors(monkeypatch, lane, tank, st
 def test_what_left_longest_ago_goes_first_and_is_brought_again(monkeypatch, lane, tank, still):  # noqa: F811
     monkeypatch.setattr(card_lane, "KEPT_SHARE", 0.0)
     found = frames(tank, still, lane, 3)
-    assert not lane._left and lane.report().frames == 2
-    assert_allclose(found[2], frames(tank, still, None, 3)[2], rtol=0, atol=1e-5)
+    assert not lane._left and lane.report().frames == 3
+    assert found[2].tobytes() == frames(tank, still, None, 3)[2].tobytes()
 
 
 def test_without_a_card_the_processor_draws():

@@ -7,7 +7,6 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 
 from benchmarks.cases import FPS
 from benchmarks.served import plan_of
@@ -29,6 +28,7 @@ from tests.fixtures.poses import random_motion
 def runtime() -> Iterator[DrapeRuntime]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(card_lane, "LOST_S", 60.0)  # the emulation is slow
+        patch.setattr(card_lane, "GATHERED_S", 0.3)  # and threads of a busy machine come late
         patch.setattr(drape_runtime, "open_lane", lambda: Lane(paper_card))
         with closing(DrapeRuntime(Settings(threads=1))) as made:
             yield made
@@ -39,6 +39,7 @@ def test_streams_of_a_batch_are_drawn_together_and_outlive_their_card(runtime: D
     assert lane is not None and lane.works
     plan = plan_of(runtime, [shipped("tank")], tier="fast", motion=0.0)
     assert at_once(plan) is None
+    before = lane.report()  # preparing drew a frame
     poses, trans = random_motion(3, seed=5)
     poses *= 0.1
 
@@ -57,13 +58,14 @@ def test_streams_of_a_batch_are_drawn_together_and_outlive_their_card(runtime: D
 
     by_card = follow(2)
     told = card_health(lane)
-    assert told is not None and told.frames == 2 and told.launches == 1 and told.frames_a_launch == 2.0
+    assert told is not None and told.frames - before.frames == 4 and told.launches - before.launches == 2
     assert told.name == "Card of paper" and told.fault == "" and told.occupied > 0
     fails("cuLaunchKernel")
     alone = follow(3)
-    assert not lane.works and card_health(lane).fault.startswith("Card of paper: cuLaunchKernel")
+    told = card_health(lane)
+    assert told is not None and not lane.works and told.fault.startswith("Card of paper: cuLaunchKernel")
     for one, other in zip(by_card, alone, strict=False):
-        assert_allclose(one, other, rtol=0, atol=1e-5)
+        assert one.tobytes() == other.tobytes()
     assert card_health(None) is None
 
 

@@ -1,13 +1,13 @@
 // Generated from drape/engine/records.py by scripts/sync_wire.py. Do not edit.
 
 // Of the whole table, a part of which follows: fields of records in their order, with their kinds.
-export const LAYOUT = "a8221925646a0991";
+export const LAYOUT = "32e4417126f14765";
 export const RECORDS = {
   Constants: { warp: "number", cross: "number", weft: "number", shear: "number", gap: "number", slack: "number", per_edge: "number", degenerate: "number", least: "number", reach: "number" },
   Creases: { corner: "int32s", stiffness: "numbers", cosine: "numbers", sine: "numbers" },
   Sheet: { constants: "Constants", vertex: "int32s", place: "int32s", fan_start: "int32s", fan_other: "int32s", fan_slope: "numbers", bend_start: "int32s", bend_other: "int32s", bend_value: "numbers", own: "numbers", creases: "Creases", crease_start: "int32s", crease_lane: "int32s", crease_member: "int32s", colour_start: "int32s" },
-  SolveStages: { block: "int32s", to: "int32s", entry: "int32s", taken: "int32s", value: "numbers" },
-  StiffnessFactor: { place: "int32s", column: "int32s", size: "int32s", start: "int32s", member: "int32s", entry: "int32s", value: "numbers", inverse: "numbers", stages: "SolveStages" },
+  PanelLevels: { row_start: "int32s", row_panel: "int32s", row: "int32s", column_start: "int32s", column: "int32s", panel: "int32s", left: "int32s", to: "int32s" },
+  StiffnessFactor: { place: "int32s", column: "int32s", size: "int32s", start: "int32s", member: "int32s", entry: "int32s", value: "numbers", inverse: "numbers", levels: "PanelLevels" },
   SkinGraph: { neighbour: "int32s", reach_m2: "numbers", rest: "numbers" },
   SheetNeighbours: { start: "int32s", vertex: "int32s", square: "float32s", clusters: "int32s", other_start: "int32s", other: "int32s", bound: "bytes" },
   Tangles: { corner: "int32s", across: "int32s", start: "int32s", beside: "int32s" },
