@@ -6,7 +6,7 @@ A record and its arrays lie in one piece, so that it comes and goes by one copy.
 from __future__ import annotations
 
 import threading
-from bisect import insort
+from bisect import bisect
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -42,17 +42,13 @@ class Memory(Protocol):
 
 
 class Pool:
-    """``size`` bytes of a card's memory in one piece, which is handed out and taken back in pieces of its own."""
+    """``size`` bytes of a card's memory in one piece, which is handed out and taken back in pieces of its own;
+    ``free_bytes`` are not handed out."""
 
     def __init__(self, card: Memory, size: int) -> None:
-        self.card, self.size = card, size
+        self.card, self.size, self.free_bytes = card, size, size
         self._begin, self._lock = card.take(size), threading.Lock()
         self._free, self._taken = [(0, size)], dict[int, int]()
-
-    @property
-    def free_bytes(self) -> int:
-        """Memory that is not handed out."""
-        return self.size - sum(self._taken.values())
 
     def take(self, size: int) -> int:
         """Hands out ``size`` bytes: their address. Raises ``MemoryError`` where no piece is long enough."""
@@ -62,6 +58,7 @@ class Pool:
                 if length >= size:
                     self._free[place : place + 1] = [(begin + size, length - size)] if length > size else []
                     self._taken[begin] = size
+                    self.free_bytes -= size
                     return self._begin + begin
         raise MemoryError(f"a card's memory: expected {size} bytes in one piece, got {self.free_bytes} in all")
 
@@ -69,14 +66,16 @@ class Pool:
         """Takes back what was handed out at ``address``."""
         with self._lock:
             begin = address - self._begin
-            insort(self._free, (begin, self._taken.pop(begin)))
-            joined: list[tuple[int, int]] = []
-            for start, length in self._free:
-                if joined and sum(joined[-1]) == start:
-                    joined[-1] = joined[-1][0], joined[-1][1] + length
-                else:
-                    joined.append((start, length))
-            self._free = joined
+            size = self._taken.pop(begin)
+            self.free_bytes += size
+            place = bisect(self._free, (begin, 0))
+            if place < len(self._free) and self._free[place][0] == begin + size:
+                size += self._free.pop(place)[1]
+            if place and sum(self._free[place - 1]) == begin:
+                place -= 1
+                begin, before = self._free.pop(place)
+                size += before
+            self._free.insert(place, (begin, size))
 
 
 class Flat:
@@ -91,6 +90,8 @@ class Flat:
                 self._at[address_of(array)] = end, array
                 end += _rounded(array.nbytes + BEHIND)
         self.size = end
+        kept = sorted((address, offset, array.nbytes) for address, (offset, array) in self._at.items())
+        self._begins, self._offsets, self._sizes = np.array(kept, np.uint64).reshape(-1, 3).T
 
     def at(self, address: int) -> np.ndarray:
         """The piece (``size``,) uint8 as it is at the ``address`` of a card."""
@@ -103,14 +104,12 @@ class Flat:
     def relocated(self, address: int, words: np.ndarray) -> np.ndarray:
         """``words`` of the record, changed to point into the piece at ``address``."""
         # An array may be a row of another one, so a word is an address within the last that begins before it.
-        begins = np.array(sorted(self._at), np.uint64)
-        for place, word in enumerate(words.tolist()):
-            before = int(np.searchsorted(begins, np.uint64(word), side="right")) - 1
-            if before >= 0:
-                offset, array = self._at[int(begins[before])]
-                inside = word - int(begins[before])
-                if inside < array.nbytes:
-                    words[place] = address + offset + inside
+        before = np.searchsorted(self._begins, words, side="right") - 1
+        place = np.flatnonzero(before >= 0)
+        before = before[place]
+        inside = words[place] - self._begins[before]
+        own = inside < self._sizes[before]
+        words[place[own]] = np.uint64(address) + (self._offsets[before] + inside)[own]
         return words
 
     def arrays(self, piece: np.ndarray) -> list[np.ndarray]:
@@ -123,12 +122,15 @@ class Flat:
 
 
 class CardRecord:
-    """A ``record`` in a piece of ``pool``; ``address`` is where it is."""
+    """A ``record`` in a piece of ``pool``; ``address`` is where it is. ``blank``: its arrays are only written there."""
 
-    def __init__(self, pool: Pool, record: Record | Recorded) -> None:
+    def __init__(self, pool: Pool, record: Record | Recorded, *, blank: bool = False) -> None:
         self.pool, self.flat = pool, Flat(record)
         self.address = pool.take(self.flat.size)
-        pool.card.write(self.address, self.flat.at(self.address))
+        if blank:
+            self.end(self.flat.record)
+        else:
+            pool.card.write(self.address, self.flat.at(self.address))
 
     def arrays(self) -> list[np.ndarray]:
         """Returns the arrays as they are in the card's memory now, in the record's order."""
@@ -166,14 +168,15 @@ class Frames:
         ``MemoryError`` where the pool has no room for it.
         """
         size = _rounded(vertices.nbytes)
-        given = self._take(2 * size + 8 * OUTCOME + 48)  # vertices, folded vertices, outcome, scratch, sizes
-        folded, outcome, scratch = given + size, given + 2 * size, given + 2 * size + 8 * OUTCOME
-        piece = np.zeros(2 * size + 8 * OUTCOME + 48, np.uint8)
-        piece[: vertices.nbytes] = np.ascontiguousarray(vertices).reshape(-1).view(np.uint8)
-        piece[-48:-16] = np.array([self._take(SCRATCH_BYTES), SCRATCH_BYTES, 0, 0], np.uint64).view(np.uint8)
-        piece[-16:-8] = np.array([len(vertices)]).view(np.uint8)
-        piece[-8:] = np.array([number]).view(np.uint8)
-        self._pool.card.write(given, piece)
+        folded = self._take(2 * size + 8 * OUTCOME + 56 + BEHIND)  # folded vertices, outcome, scratch, sizes; vertices
+        outcome, scratch = folded + size, folded + size + 8 * OUTCOME
+        given = scratch + 56
+        piece = np.empty(56 + vertices.nbytes, np.uint8)
+        piece[:32] = np.array([self._take(SCRATCH_BYTES), SCRATCH_BYTES, 0, 0], np.uint64).view(np.uint8)
+        piece[32:40] = np.array([len(vertices)]).view(np.uint8)
+        piece[40:48] = np.array([number]).view(np.uint8)
+        piece[56:] = np.ascontiguousarray(vertices).reshape(-1).view(np.uint8)
+        self._pool.card.write(scratch, piece)
         self._words += [
             STEPS[name],
             given,

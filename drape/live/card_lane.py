@@ -197,20 +197,17 @@ class Lane:
                 vertices, past, around, cloth, effort, left, _, _ = job.given
                 records = [self._past(past), *(CardRecord(self._pool, one) for one in (around, effort))]
                 pieces += records
-                after.append(CardRecord(self._pool, left))
+                after.append(CardRecord(self._pool, left, blank=True))
                 frames.add(job.name, vertices, *records[:2], self._cloth(cloth), records[2], after[-1])
             frames.draw(THREADS)
-            for job, (folded, told), record in zip(jobs, frames.drawn(), after, strict=True):
-                job.drawn = folded, told, record.arrays()
-                self._left[id(job.given[5].arrays)] = job.given[5].arrays, record  # as long as there is room
-                self._left_bytes += record.flat.size
+            for job, (folded, told) in zip(jobs, frames.drawn(), strict=True):
+                job.drawn, left = (folded, told, after[0].arrays()), job.given[5].arrays
+                self._left[id(left)] = left, after.pop(0)  # as long as there is room
+                self._left_bytes += self._left[id(left)][1].flat.size
             self.frames, self.launches = self.frames + len(jobs), self.launches + 1
         finally:
-            frames.give()
-            kept = {id(record) for _, record in self._left.values()}
-            for piece in (*pieces, *after):
-                if id(piece) not in kept:
-                    piece.give()
+            for piece in (frames, *pieces, *after):
+                piece.give()
             self._drop(int(KEPT_SHARE * self._pool.size))
 
     def _cloth(self, cloth: Any) -> CardRecord:

@@ -50,7 +50,7 @@ def drawn(
     found = []
     for backwards in (False, True):
         turn_threads(backwards)
-        frames, left = Frames(pool), CardRecord(pool, after)
+        frames, left = Frames(pool), CardRecord(pool, after, blank=True)
         given = [CardRecord(pool, one) for one in given_records]
         frames.add(name, vertices, *given[:2], cloth, given[2], left)
         frames.draw(THREADS)
