@@ -66,7 +66,7 @@ def yield_to(x: np.ndarray, step: np.ndarray, corner: np.ndarray, triangles: int
     call_with_scratch("yield_to", np.float64, x, step, corner, len(corner), triangles, *wanted)
 
 
-class Descent(newton.Descent):
+class ApartDescent(newton.Descent):
     """A descent that keeps the cloth apart from itself."""
 
     def __init__(
@@ -141,14 +141,14 @@ class Descent(newton.Descent):
     def _lay_out(self) -> bool:
         return False  # a triangle laid out anew may pass through others
 
-    def _other_blocks(self) -> tuple[hessian.Pattern, np.ndarray]:
+    def _other_blocks(self) -> tuple[hessian.BlockPattern, np.ndarray]:
         """The pattern with the pairs that push, and the barrier's curvature in it."""
         count, (pushing, triangles) = len(self.now.x), self._pushing
         wanted = pushing[:, :, None].astype(np.int64) * count + pushing[:, None, :]
         keys = np.union1d(self._keys, wanted)
         moved = np.searchsorted(keys, self._keys).astype(np.int32)
         plain = self.cloth.pattern
-        pattern = hessian.Pattern(
+        pattern = hessian.BlockPattern(
             np.searchsorted(keys, np.arange(count + 1) * count).astype(np.int32),
             (keys % count).astype(np.int32),
             moved[plain.diagonal],

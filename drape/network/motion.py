@@ -12,8 +12,8 @@ import numpy as np
 from drape.engine.calls import call_with_scratch
 from drape.engine.packer import Recorded
 from drape.graph.inputs import SLOPE
-from drape.network.dense import Layer, body_layer
-from drape.network.weights import body_layers, layers_of
+from drape.network.dense import DenseLayer, body_layer
+from drape.network.weights import body_layers, parameter_layers
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,11 +23,11 @@ class MotionEncoder(Recorded):
     exp(-t / ``decay_s``), less an ``offset``."""
 
     scale: np.ndarray
-    joint: tuple[Layer, ...]
-    body: tuple[Layer, ...]
-    input: Layer
-    state: Layer
-    out: Layer
+    joint: tuple[DenseLayer, ...]
+    body: tuple[DenseLayer, ...]
+    input: DenseLayer
+    state: DenseLayer
+    out: DenseLayer
     decay_s: float
     offset: float
 
@@ -37,8 +37,8 @@ def motion_encoder(parameters: Mapping[str, np.ndarray], network: Mapping[str, A
     decay_s = float(network["state_decay_s"])
     return MotionEncoder(
         parameters["dynamic.scale.inverse"],
-        body_layers(layers_of(parameters, "dynamic.joint."), last=SLOPE),
-        body_layers(layers_of(parameters, "dynamic.body.")),
+        body_layers(parameter_layers(parameters, "dynamic.joint."), last=SLOPE),
+        body_layers(parameter_layers(parameters, "dynamic.body.")),
         body_layer(parameters["dynamic.cell.weight_ih"]),
         body_layer(parameters["dynamic.cell.weight_hh"]),
         body_layer(parameters["dynamic.code_scale"][:, None] * parameters["dynamic.out.weight"]),
@@ -47,7 +47,7 @@ def motion_encoder(parameters: Mapping[str, np.ndarray], network: Mapping[str, A
     )
 
 
-def advance(
+def advance_encoder(
     encoder: MotionEncoder, features: np.ndarray, state: np.ndarray, dt_s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Codes (N, outputs) and next states (N, H) of N bodies with motion ``features`` (N, 24, m) and ``state`` (N, H)

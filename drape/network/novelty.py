@@ -1,4 +1,4 @@
-"""How unlike training poses are: ``drape.body.pose_support.PoseSupport.novelty``, by the engine."""
+"""How unlike training poses are: ``drape.body.pose_distance.PoseSupport.novelty``, by the engine."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.body.features import joint_rotations
-from drape.body.pose_support import PART_ENTRIES, PART_JOINTS, PoseSupport
+from drape.body.pose_distance import PART_ENTRIES, PART_JOINTS, PoseSupport
 from drape.engine.calls import call_with_scratch
 from drape.engine.packer import Recorded
-from drape.network.dense import Layer, body_layer
+from drape.network.dense import DenseLayer, body_layer
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,7 +18,7 @@ class KeptPoses(Recorded):
     """A ``PoseSupport``: for each part a layer that gives |k|^2 - 2 k.x of its kept poses k, how many these are, the
     ``entry`` of a pose's matrices that each number is, and what the square of a distance is divided by."""
 
-    parts: tuple[Layer, ...]
+    parts: tuple[DenseLayer, ...]
     counts: np.ndarray
     entry: np.ndarray
     over: np.ndarray

@@ -13,7 +13,7 @@ from drape.engine.packer import Recorded
 from drape.garment.consensus import strain_points
 from drape.geometry import jets
 from drape.graph.inputs import SLOPE
-from drape.network.dense import Layer, body_layer, layer
+from drape.network.dense import DenseLayer, body_layer, layer
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,13 +27,13 @@ class Weights(Recorded):
 
     mean: np.ndarray
     inverse_deviation: np.ndarray
-    body: tuple[Layer, ...]
-    from_body: Layer
-    surroundings: Layer
-    trunk: tuple[Layer, ...]
-    heads: tuple[Layer, ...]
-    first: tuple[Layer, ...]
-    second: tuple[Layer, ...]
+    body: tuple[DenseLayer, ...]
+    from_body: DenseLayer
+    surroundings: DenseLayer
+    trunk: tuple[DenseLayer, ...]
+    heads: tuple[DenseLayer, ...]
+    first: tuple[DenseLayer, ...]
+    second: tuple[DenseLayer, ...]
     basis: np.ndarray
     basis_u: np.ndarray
     basis_v: np.ndarray
@@ -44,19 +44,19 @@ def weights_of(parameters: Mapping[str, np.ndarray], output_gain: float) -> Weig
     """The weights of ``parameters`` by their names in training; ``output_gain`` is the factor of jets."""
     decoder = "decoder."
     nothing = np.zeros(len(parameters[decoder + "from_surroundings.weight"]), np.float32)
-    heads = [layers_of(parameters, f"{decoder}heads.{name}.") for name in ("plane", "height")]
+    heads = [parameter_layers(parameters, f"{decoder}heads.{name}.") for name in ("plane", "height")]
     count = len({name.split(".")[1] for name in parameters if name.startswith("corrections.")})
-    pairs = [_made(layers_of(parameters, f"corrections.{i}."), output_gain) for i in range(count)]
+    pairs = [_made(parameter_layers(parameters, f"corrections.{i}."), output_gain) for i in range(count)]
     points, order = strain_points(), jets.HEIGHT_ORDER
     along = [jets.basis_derivative(points, order, **times) for times in ({"u_times": 1}, {"v_times": 1})]
     logs = np.log(np.arange(OTHER_STEPS + 1) / OTHER_STEPS + OTHER_LEAST)
     return Weights(
         parameters["body.standardise.mean"],
         parameters["body.standardise.inverse_deviation"],
-        body_layers(layers_of(parameters, "body.layers.")),
+        body_layers(parameter_layers(parameters, "body.layers.")),
         body_layer(parameters[decoder + "from_body.weight"]),
         layer(parameters[decoder + "from_surroundings.weight"], nothing, SLOPE),
-        tuple(layer(*each, SLOPE) for each in layers_of(parameters, decoder + "trunk.")),
+        tuple(layer(*each, SLOPE) for each in parameter_layers(parameters, decoder + "trunk.")),
         _made([_beside(*each, shared=depth == 0) for depth, each in enumerate(zip(*heads, strict=True))], output_gain),
         tuple(first for first, _ in pairs),
         tuple(second for _, second in pairs),
@@ -64,7 +64,7 @@ def weights_of(parameters: Mapping[str, np.ndarray], output_gain: float) -> Weig
     )
 
 
-def layers_of(parameters: Mapping[str, np.ndarray], start: str) -> list[tuple[np.ndarray, np.ndarray]]:
+def parameter_layers(parameters: Mapping[str, np.ndarray], start: str) -> list[tuple[np.ndarray, np.ndarray]]:
     """Returns weights and biases of the layers whose names in ``parameters`` begin with ``start``, in order; zeros for
     a layer without biases."""
     numbers = sorted({int(name[len(start) :].split(".")[0]) for name in parameters if name.startswith(start)})
@@ -75,13 +75,13 @@ def layers_of(parameters: Mapping[str, np.ndarray], start: str) -> list[tuple[np
     ]
 
 
-def body_layers(layers: list[tuple[np.ndarray, np.ndarray]], *, last: float = 1.0) -> tuple[Layer, ...]:
+def body_layers(layers: list[tuple[np.ndarray, np.ndarray]], *, last: float = 1.0) -> tuple[DenseLayer, ...]:
     """The ``layers`` of a body, between which numbers are bent; ``last`` is the slope of what the last one gives."""
     count = len(layers)
     return tuple(body_layer(*each, SLOPE if i + 1 < count else last) for i, each in enumerate(layers))
 
 
-def _made(layers: list[tuple[np.ndarray, np.ndarray]], gain: float) -> tuple[Layer, ...]:
+def _made(layers: list[tuple[np.ndarray, np.ndarray]], gain: float) -> tuple[DenseLayer, ...]:
     """Layers of which the last gives jets, times ``gain``."""
     *first, (weight, bias) = layers
     return (*(layer(*each, SLOPE) for each in first), layer(np.float32(gain) * weight, np.float32(gain) * bias))

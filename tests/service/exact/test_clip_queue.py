@@ -20,7 +20,7 @@ from drape.errors import DrapeError, MotionError, NotFound, Unavailable
 from service.errors import Busy, Full
 from service.exact import clip_folder as on_disk
 from service.exact import clip_queue
-from service.exact.block import Block
+from service.exact.block import FrameBlock
 from service.exact.clip_queue import ExactClips
 from service.http.exact_clips import exact_job_info
 from service.settings import Settings
@@ -250,7 +250,7 @@ def test_what_a_process_says_at_its_end_is_raised(make_settings: Callable[..., S
         monkeypatch.setattr(clip_queue, "BLOCK", name)
         monkeypatch.setenv("PYTHONPATH", str(tmp_path))
         some = np.zeros(1)
-        block = Block(None, None, None, some, some, tmp_path, some, some)  # pyright: ignore[reportArgumentType]
+        block = FrameBlock(None, None, None, some, some, tmp_path, some, some)  # pyright: ignore[reportArgumentType]
         asyncio.run(clips._computed(job, block))
 
     said = {"name": "disk", "expected": "room for a frame", "got": "No space left", "cure": "Make room, and ask again."}

@@ -9,26 +9,26 @@ import numpy as np
 
 from drape.engine.library import LANES
 from drape.graph.inputs import SLOPE
-from drape.network.dense import Layer, Rows, layer, rows_of, run_layer
-from drape.network.weights import layers_of
+from drape.network.dense import DenseLayer, Rows, layer, rows_of, run_layer
+from drape.network.weights import parameter_layers
 
 
-class GarmentEncoder(NamedTuple):
+class EncoderLayers(NamedTuple):
     """Statistics of patch features, both parts of the encoder, and what decoding begins with. Its layers have no tiles:
     a garment is encoded once."""
 
     mean: np.ndarray
     inverse_deviation: np.ndarray
-    first: tuple[Layer, ...]
-    second: tuple[Layer, ...]
+    first: tuple[DenseLayer, ...]
+    second: tuple[DenseLayer, ...]
 
 
-def garment_encoder(parameters: Mapping[str, np.ndarray]) -> GarmentEncoder:
+def garment_encoder(parameters: Mapping[str, np.ndarray]) -> EncoderLayers:
     """The encoder of ``parameters`` by their names in training."""
-    first, second = (layers_of(parameters, f"garment.{part}.") for part in ("first", "second"))
+    first, second = (parameter_layers(parameters, f"garment.{part}.") for part in ("first", "second"))
     slopes = [*[SLOPE] * (len(second) - 1), 1.0, 1.0]
     second.append((parameters["decoder.from_patch.weight"], parameters["decoder.from_patch.bias"]))
-    return GarmentEncoder(
+    return EncoderLayers(
         parameters["garment.standardise.mean"],
         parameters["garment.standardise.inverse_deviation"],
         tuple(layer(*each, SLOPE, tiles=False) for each in first),
@@ -36,7 +36,7 @@ def garment_encoder(parameters: Mapping[str, np.ndarray]) -> GarmentEncoder:
     )
 
 
-def encoded(encoder: GarmentEncoder, features: np.ndarray) -> np.ndarray:
+def encoded(encoder: EncoderLayers, features: np.ndarray) -> np.ndarray:
     """The garment's half of the first layer (K, n) of the patches with ``features`` (K, m), float32."""
     own = np.clip((features - encoder.mean) * encoder.inverse_deviation, -5.0, 5.0).astype(np.float32)
     x = rows_of(own)
@@ -46,7 +46,7 @@ def encoded(encoder: GarmentEncoder, features: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(found.swapaxes(1, 2)).reshape(-1, found.shape[1])[: len(features)]
 
 
-def _through(layers: Sequence[Layer], x: np.ndarray) -> np.ndarray:
+def _through(layers: Sequence[DenseLayer], x: np.ndarray) -> np.ndarray:
     """Rows (blocks, n, 16) of the ``layers`` one after the other, of rows ``x``."""
     for made in layers:
         after = np.empty((len(x), len(made.bias), LANES), np.float32)
