@@ -141,14 +141,14 @@ class ApartDescent(newton.Descent):
     def _lay_out(self) -> bool:
         return False  # a triangle laid out anew may pass through others
 
-    def _other_blocks(self) -> tuple[hessian.BlockPattern, np.ndarray]:
+    def _other_blocks(self) -> tuple[hessian.Pattern, np.ndarray]:
         """The pattern with the pairs that push, and the barrier's curvature in it."""
         count, (pushing, triangles) = len(self.now.x), self._pushing
         wanted = pushing[:, :, None].astype(np.int64) * count + pushing[:, None, :]
         keys = np.union1d(self._keys, wanted)
         moved = np.searchsorted(keys, self._keys).astype(np.int32)
         plain = self.cloth.pattern
-        pattern = hessian.BlockPattern(
+        pattern = hessian.Pattern(
             np.searchsorted(keys, np.arange(count + 1) * count).astype(np.int32),
             (keys % count).astype(np.int32),
             moved[plain.diagonal],

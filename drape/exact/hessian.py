@@ -14,7 +14,7 @@ from drape.exact.surroundings import Around
 
 
 @dataclass(frozen=True, eq=False)
-class BlockPattern(Recorded):
+class Pattern(Recorded):
     """The places of the blocks. Row v has the columns ``column[start[v] : start[v + 1]]``, sorted, its own at
     ``diagonal``. ``face`` (F, 3, 3) and ``hinge`` (H, 4, 4) name the block of every pair of corners.
     """
@@ -26,7 +26,7 @@ class BlockPattern(Recorded):
     hinge: np.ndarray
 
 
-def pattern(cloth: ClothMesh) -> BlockPattern:
+def pattern(cloth: ClothMesh) -> Pattern:
     """The pattern of all vertices that share a triangle or a hinge."""
     graph = stencil(cloth)
     graph.sort_indices()
@@ -38,7 +38,7 @@ def pattern(cloth: ClothMesh) -> BlockPattern:
         found = np.asarray(graph[rows.reshape(-1), columns.reshape(-1)]).reshape(-1, count, count)
         return (found - 1.0).astype(np.int32)
 
-    return BlockPattern(
+    return Pattern(
         graph.indptr.astype(np.int32),
         graph.indices.astype(np.int32),
         (graph.diagonal() - 1.0).astype(np.int32),
@@ -48,7 +48,7 @@ def pattern(cloth: ClothMesh) -> BlockPattern:
 
 
 def assemble(
-    x: np.ndarray, problem: Problem, around: Around, pattern: BlockPattern, exact: float, blocks: np.ndarray
+    x: np.ndarray, problem: Problem, around: Around, pattern: Pattern, exact: float, blocks: np.ndarray
 ) -> None:
     """Writes the Hessian [N/m] at ``x`` [m] (V, 3) to ``blocks`` (N, 3, 3), the N blocks of the pattern, in float64.
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from drape.engine.calls import call, call_with_scratch
 from drape.engine.packer import Record, Recorded
-from drape.exact.hessian import BlockPattern
+from drape.exact.hessian import Pattern
 
 
 class Charts(NamedTuple):
@@ -28,7 +28,7 @@ def no_charts(vertex_count: int, dtype: type[np.floating]) -> Charts:
     return Charts(np.zeros((vertex_count, 0), np.int32), np.zeros((vertex_count, 0), dtype))
 
 
-def galerkin(charts: Charts, pattern: BlockPattern, blocks: np.ndarray, out: np.ndarray) -> None:
+def galerkin(charts: Charts, pattern: Pattern, blocks: np.ndarray, out: np.ndarray) -> None:
     """Writes P^T H P to ``out`` (3K, 3K), P the basis of the K ``charts``, H of ``blocks`` (N, 3, 3)."""
     call("galerkin", blocks.dtype, Record("Charts", charts), pattern, blocks, out, len(out))
 
@@ -38,7 +38,7 @@ class System(Recorded):
     """A block matrix and its preconditioner: the ``inverse`` (V, 3, 3) of positive diagonal blocks, and ``coarse``
     (3K, 3K), the inverse of the matrix on the charts, of size zero if there are none."""
 
-    pattern: BlockPattern
+    pattern: Pattern
     blocks: np.ndarray
     inverse: np.ndarray
     charts: Charts

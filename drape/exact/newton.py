@@ -49,7 +49,7 @@ class Cloth(NamedTuple):
     ``solve``, the inverse by which it settles."""
 
     problem: Problem
-    pattern: hessian.BlockPattern
+    pattern: hessian.Pattern
     charts: Charts
     solve: Callable[[np.ndarray], np.ndarray]
 
@@ -255,7 +255,7 @@ class Descent:
                 self.exact = 0.5 * self.exact if self.exact > EXACT_LEAST else 0.0
         return self._limited(moved.astype(np.float64)), count
 
-    def _other_blocks(self) -> tuple[hessian.BlockPattern, np.ndarray | None]:
+    def _other_blocks(self) -> tuple[hessian.Pattern, np.ndarray | None]:
         """The pattern of the Hessian, and blocks that are added to those of the cloth: here none."""
         return self.cloth.pattern, None
 
@@ -268,7 +268,7 @@ class Descent:
         """The place where a sweep from ``origin`` to ``x`` ends: here ``x``."""
         return x
 
-    def _renew_coarse(self, pattern: hessian.BlockPattern, blocks: np.ndarray) -> None:
+    def _renew_coarse(self, pattern: hessian.Pattern, blocks: np.ndarray) -> None:
         """Renews the inverse on the charts when it is old; a matrix that is not positive has none."""
         self._coarse_age += 1
         if self.cloth.charts.patch.size == 0 or self._coarse_age < COARSE_AGE:

@@ -19,7 +19,7 @@ from drape.graph.packed_inputs import PART_SIZE
 from drape.graph.packing import PackedGarment
 from drape.inference.graph_names import FIRST, JETS, SKIN
 from drape.network.bodies import PosedBody, pose_bodies
-from drape.network.dense import OUTPUTS, DenseLayer
+from drape.network.dense import OUTPUTS, Layer
 from drape.network.drape import checked_jets
 from drape.network.garment_encoder import encoded, garment_encoder
 from drape.network.motion import advance_encoder, motion_encoder
@@ -114,5 +114,5 @@ class CompiledNetwork:
         return {"Weights": replace(weights, **several, **single), "PatchRows": garment.patches}
 
 
-def _untiled(layer: DenseLayer) -> DenseLayer:
+def _untiled(layer: Layer) -> Layer:
     return replace(layer, tiles=np.empty(0, np.uint32))

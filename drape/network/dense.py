@@ -16,7 +16,7 @@ OUTPUTS = 8  # of a row of patches that are summed at once
 
 
 @dataclass(frozen=True, eq=False)
-class DenseLayer(Recorded):
+class Layer(Recorded):
     """A layer: flat ``weight`` and ``bias`` (outputs,), filled up with zeros. A negative sum is multiplied by the
     ``slope``: 1 where nothing bends.
 
@@ -31,26 +31,24 @@ class DenseLayer(Recorded):
     tiles: np.ndarray
 
 
-def layer(weight: np.ndarray, bias: np.ndarray, slope: float = 1.0, *, tiles: bool = True) -> DenseLayer:
+def layer(weight: np.ndarray, bias: np.ndarray, slope: float = 1.0, *, tiles: bool = True) -> Layer:
     """The layer of patches of ``weight`` (outputs, inputs) and ``bias`` (outputs,), in the type of ``weight``: by
     ``tiles`` where the processor has them."""
     tiled = tiles and weight.dtype == np.float32 and has_tiles()
     return _layer(weight, bias, slope, OUTPUTS, tiles_of(weight) if tiled else np.empty(0, np.uint32))
 
 
-def body_layer(weight: np.ndarray, bias: np.ndarray | None = None, slope: float = 1.0) -> DenseLayer:
+def body_layer(weight: np.ndarray, bias: np.ndarray | None = None, slope: float = 1.0) -> Layer:
     """The layer of a body of ``weight`` (outputs, inputs) and ``bias`` (outputs,), none of zeros."""
     bias = np.zeros(len(weight), weight.dtype) if bias is None else bias
     return _layer(weight, bias, slope, LANES, np.empty(0, np.uint32))
 
 
-def _layer(weight: np.ndarray, bias: np.ndarray, slope: float, outputs: int, tiles: np.ndarray) -> DenseLayer:
+def _layer(weight: np.ndarray, bias: np.ndarray, slope: float, outputs: int, tiles: np.ndarray) -> Layer:
     """``weight`` as (n, inputs, ``outputs``), flat: ``outputs`` of one input side by side."""
     missing = -len(weight) % outputs
     filled = np.pad(weight, ((0, missing), (0, 0))).reshape(-1, outputs, weight.shape[1])
-    return DenseLayer(
-        np.ascontiguousarray(filled.transpose(0, 2, 1)).reshape(-1), np.pad(bias, (0, missing)), slope, tiles
-    )
+    return Layer(np.ascontiguousarray(filled.transpose(0, 2, 1)).reshape(-1), np.pad(bias, (0, missing)), slope, tiles)
 
 
 class Rows(NamedTuple):
@@ -62,7 +60,7 @@ class Rows(NamedTuple):
     first: int
 
 
-def run_layer(made: DenseLayer, inputs: Rows, outputs: Rows, added: Rows | None = None) -> None:
+def run_layer(made: Layer, inputs: Rows, outputs: Rows, added: Rows | None = None) -> None:
     """Writes the layer ``made`` of ``inputs``, plus what is ``added``, to ``outputs``."""
     blocks = len(inputs.values) // (LANES * inputs.count)
     more = (np.empty(0, made.weight.dtype), 0) if added is None else (added.values, added.count)

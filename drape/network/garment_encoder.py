@@ -9,7 +9,7 @@ import numpy as np
 
 from drape.engine.library import LANES
 from drape.graph.inputs import SLOPE
-from drape.network.dense import DenseLayer, Rows, layer, rows_of, run_layer
+from drape.network.dense import Layer, Rows, layer, rows_of, run_layer
 from drape.network.weights import parameter_layers
 
 
@@ -19,8 +19,8 @@ class EncoderLayers(NamedTuple):
 
     mean: np.ndarray
     inverse_deviation: np.ndarray
-    first: tuple[DenseLayer, ...]
-    second: tuple[DenseLayer, ...]
+    first: tuple[Layer, ...]
+    second: tuple[Layer, ...]
 
 
 def garment_encoder(parameters: Mapping[str, np.ndarray]) -> EncoderLayers:
@@ -46,7 +46,7 @@ def encoded(encoder: EncoderLayers, features: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(found.swapaxes(1, 2)).reshape(-1, found.shape[1])[: len(features)]
 
 
-def _through(layers: Sequence[DenseLayer], x: np.ndarray) -> np.ndarray:
+def _through(layers: Sequence[Layer], x: np.ndarray) -> np.ndarray:
     """Rows (blocks, n, 16) of the ``layers`` one after the other, of rows ``x``."""
     for made in layers:
         after = np.empty((len(x), len(made.bias), LANES), np.float32)

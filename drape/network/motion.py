@@ -12,7 +12,7 @@ import numpy as np
 from drape.engine.calls import call_with_scratch
 from drape.engine.packer import Recorded
 from drape.graph.inputs import SLOPE
-from drape.network.dense import DenseLayer, body_layer
+from drape.network.dense import Layer, body_layer
 from drape.network.weights import body_layers, parameter_layers
 
 
@@ -23,11 +23,11 @@ class MotionEncoder(Recorded):
     exp(-t / ``decay_s``), less an ``offset``."""
 
     scale: np.ndarray
-    joint: tuple[DenseLayer, ...]
-    body: tuple[DenseLayer, ...]
-    input: DenseLayer
-    state: DenseLayer
-    out: DenseLayer
+    joint: tuple[Layer, ...]
+    body: tuple[Layer, ...]
+    input: Layer
+    state: Layer
+    out: Layer
     decay_s: float
     offset: float
 

@@ -10,7 +10,7 @@ from drape.body.features import joint_rotations
 from drape.body.pose_distance import PART_ENTRIES, PART_JOINTS, PoseSupport
 from drape.engine.calls import call_with_scratch
 from drape.engine.packer import Recorded
-from drape.network.dense import DenseLayer, body_layer
+from drape.network.dense import Layer, body_layer
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,7 +18,7 @@ class KeptPoses(Recorded):
     """A ``PoseSupport``: for each part a layer that gives |k|^2 - 2 k.x of its kept poses k, how many these are, the
     ``entry`` of a pose's matrices that each number is, and what the square of a distance is divided by."""
 
-    parts: tuple[DenseLayer, ...]
+    parts: tuple[Layer, ...]
     counts: np.ndarray
     entry: np.ndarray
     over: np.ndarray

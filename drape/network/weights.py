@@ -13,7 +13,7 @@ from drape.engine.packer import Recorded
 from drape.garment.consensus import strain_points
 from drape.geometry import jets
 from drape.graph.inputs import SLOPE
-from drape.network.dense import DenseLayer, body_layer, layer
+from drape.network.dense import Layer, body_layer, layer
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,13 +27,13 @@ class Weights(Recorded):
 
     mean: np.ndarray
     inverse_deviation: np.ndarray
-    body: tuple[DenseLayer, ...]
-    from_body: DenseLayer
-    surroundings: DenseLayer
-    trunk: tuple[DenseLayer, ...]
-    heads: tuple[DenseLayer, ...]
-    first: tuple[DenseLayer, ...]
-    second: tuple[DenseLayer, ...]
+    body: tuple[Layer, ...]
+    from_body: Layer
+    surroundings: Layer
+    trunk: tuple[Layer, ...]
+    heads: tuple[Layer, ...]
+    first: tuple[Layer, ...]
+    second: tuple[Layer, ...]
     basis: np.ndarray
     basis_u: np.ndarray
     basis_v: np.ndarray
@@ -75,13 +75,13 @@ def parameter_layers(parameters: Mapping[str, np.ndarray], start: str) -> list[t
     ]
 
 
-def body_layers(layers: list[tuple[np.ndarray, np.ndarray]], *, last: float = 1.0) -> tuple[DenseLayer, ...]:
+def body_layers(layers: list[tuple[np.ndarray, np.ndarray]], *, last: float = 1.0) -> tuple[Layer, ...]:
     """The ``layers`` of a body, between which numbers are bent; ``last`` is the slope of what the last one gives."""
     count = len(layers)
     return tuple(body_layer(*each, SLOPE if i + 1 < count else last) for i, each in enumerate(layers))
 
 
-def _made(layers: list[tuple[np.ndarray, np.ndarray]], gain: float) -> tuple[DenseLayer, ...]:
+def _made(layers: list[tuple[np.ndarray, np.ndarray]], gain: float) -> tuple[Layer, ...]:
     """Layers of which the last gives jets, times ``gain``."""
     *first, (weight, bias) = layers
     return (*(layer(*each, SLOPE) for each in first), layer(np.float32(gain) * weight, np.float32(gain) * bias))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -19,12 +20,12 @@ COUNT = 200
 class Element(NamedTuple):
     """A formula with its constants, at random ``corners`` (3 or 4, 3, n)."""
 
-    formula: object
+    formula: ModuleType
     corners: np.ndarray
     constants: tuple
 
     def __getattr__(self, name: str) -> Callable:
-        function = getattr(self.formula, name)
+        function = getattr(self.formula, f"{self.formula.__name__.rpartition('.')[2]}_{name}")
         return lambda corners, *others, **options: function(corners, *self.constants, *others, **options)
 
 

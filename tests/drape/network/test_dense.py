@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.engine.calls import call
 from drape.engine.library import LANES
-from drape.network.dense import DenseLayer, Rows, body_layer, layer, rows_of, run_layer
+from drape.network.dense import Layer, Rows, body_layer, layer, rows_of, run_layer
 
 SLOPE = 0.01
 ROUNDING = {np.float32: 1e-5, np.float64: 1e-13}  # of sums of thirty numbers of size one
@@ -62,7 +62,7 @@ def test_what_is_no_number_is_none(tiles: bool):
     assert_array_equal(np.isfinite(found.reshape(8, LANES)[0]), np.isfinite(x).all(axis=0))
 
 
-def run_body_layer(made: DenseLayer, inputs: np.ndarray) -> np.ndarray:
+def run_body_layer(made: Layer, inputs: np.ndarray) -> np.ndarray:
     """The layer ``made`` of the numbers ``inputs`` (N, inputs) of N bodies, (N, outputs)."""
     outputs = np.empty((len(inputs), len(made.bias)), made.weight.dtype)
     call("body_layer", made.weight.dtype, made, inputs, len(inputs), outputs)

@@ -84,7 +84,7 @@ def test_a_frame_that_is_not_solved_is_named(tmp_path: Path):
     told = {"force_share": 0.009, "depth_m": 0.0, "energy_j": 1.0, "start_j": 2.0, "start_crossings": 3, "steps": 4}
     frames = {0: {**told, "crossings": 0}, 1: {**told, "crossings": 2, "depth_m": 0.0634}}
     frames[2] = {**told, "crossings": 0, "force_share": 18.0}
-    job = clip_queue.ClipJob(on_disk.AcceptedClip("a", "tube", None, 3), tmp_path, state="done", told=frames)
+    job = clip_queue.ClipJob(on_disk.AcceptedClip("a", "tube", None, 3), tmp_path, state="done", figures=frames)
     first, second = exact_job_info(job).notes
     assert first.startswith("Frame 1 is not solved: 2 pairs") and "63.4 mm deep" in first and "0.9 %" in first
     assert second.startswith("Frame 2 is not solved: 0 pairs") and "1800.0 %" in second
