@@ -74,7 +74,7 @@ def three_numbers(records: Records) -> str:
         ],
     )
     gpu, best = records["latency_gpu"], max(_batches(records["latency_gpu"]), key=lambda row: row["frames_per_s"])
-    where = dict.fromkeys(machine(records[name]) for name in ("tradeoff", "frame", "serving"))
+    where = dict.fromkeys(processor_and_cores(records[name]) for name in ("tradeoff", "frame", "serving"))
     on_gpu = (
         f"On {gpu['machine'].split(', ')[2]} the network alone takes {best['p50_ms']:.1f} ms for {best['batch']} "
         "frames ([record](docs/records/performance.md#latency-gpu-batches))."
@@ -200,7 +200,7 @@ BLOCKS: dict[str, Callable[[Records], str]] = {
 NEEDED = ("tradeoff", "frame", "serving", "latency_gpu", "static_page")  # records
 
 
-def machine(record: Record) -> str:
+def processor_and_cores(record: Record) -> str:
     """The processor and the cores that ``record`` was measured on."""
     processor, cores = record["machine"].split(", ")[:2]
     return f"{processor.replace('(R)', '').replace(' Processor', '')} ({cores})"
@@ -214,7 +214,7 @@ def measured_on(record: Record, table: str) -> str:
     """The sentence on where ``record`` was measured, with a link to its ``table`` of docs/records, or to the record
     itself where its program is gone."""
     where = "../../benchmarks/results" if table.endswith(".json") else "../records"
-    return f"Measured on {machine(record)}: [record]({where}/{table})."
+    return f"Measured on {processor_and_cores(record)}: [record]({where}/{table})."
 
 
 def _cores(record: Record) -> int:

@@ -248,7 +248,7 @@ class View:
     moving: Callable[[int], np.ndarray] | None = None
 
 
-def views(bench: FrameBench) -> Iterator[View]:
+def frame_views(bench: FrameBench) -> Iterator[View]:
     """Distance, hidden garments, and a body that stands."""
     walk, shirt, far = bench.pose, ["tshirt"], {"pixels_per_m": 50.0}
     yield View("distance", "far away", shirt, walk, {}, far)
@@ -303,7 +303,7 @@ def main(run: Run) -> None:
     for garment in options.garments:
         run.add(stream_thread_rows(alone, garment))
         run.add(clip_thread_row(one, garment, threads) for threads, one in ((1, alone), (2, both)))
-    run.add(view_row(alone, view) for view in views(alone))
+    run.add(view_row(alone, view) for view in frame_views(alone))
     for one in (alone, both):
         one.drapery.close()
     run.extra |= {"frames": options.frames, "model": options.model, "gemm_gflops": 2e-9 * multiply_adds_per_s(1)}

@@ -32,7 +32,7 @@ from typing import Any
 
 from benchmarks.tables import Columns, Record, Row, text_table
 from drape.artifacts import DEFAULT_MODEL
-from drape.errors import Unavailable, ended
+from drape.errors import Unavailable, exit_status
 from drape.files.atomic import write_whole
 from drape.files.data import DATA_VARIABLE, data_folder
 
@@ -195,7 +195,7 @@ class Command:
                 print(error, file=sys.stderr)
                 sys.exit(NOTHING_EXIT)
 
-        sys.exit(ended(measured))
+        sys.exit(exit_status(measured))
 
 
 class Benchmark:

@@ -33,10 +33,10 @@ from scipy.spatial import KDTree
 
 from benchmarks.cases import FPS, CaseClip, lively_clips, read_case_clips
 from benchmarks.harness import Benchmark, Option, Run, inputs
+from benchmarks.measure.cloth_looks import ClothLooks
+from benchmarks.measure.contact_sheet import Picture, draw_sheet
 from benchmarks.measure.depth import depths_mm
 from benchmarks.measure.intersections import intersecting_pairs
-from benchmarks.measure.moving import Looks
-from benchmarks.measure.sheet import Picture, draw_sheet
 from benchmarks.served import Stream, plan_of
 from benchmarks.stills import Stills, input_of, outfits, posed_at, still_figures, stills_of
 from benchmarks.tables import Row
@@ -64,7 +64,7 @@ NAMES = ("garment", "clip", "tier")
 
 
 @dataclass(frozen=True, eq=False)
-class Skin:
+class ClipSkin:
     """The skin of a body through a ``clip``."""
 
     clip: CaseClip
@@ -107,7 +107,7 @@ def streamed(drapery: DrapeRuntime, garments: list[Garment], clip: CaseClip, tie
 
 
 def moving_row(
-    looks: Looks, vertices: np.ndarray, skin: Skin, stills: dict[int, Row], exact: Mapping[int, Row | None]
+    looks: ClothLooks, vertices: np.ndarray, skin: ClipSkin, stills: dict[int, Row], exact: Mapping[int, Row | None]
 ) -> Row:
     """The measures of a garment at ``vertices`` [m] (F, V, 3), beside ``stills`` and ``exact`` drapes by frame."""
     shares, angles = [], []
@@ -141,8 +141,8 @@ def moving_row(
 def scene_rows(
     drapery: DrapeRuntime,
     garments: list[Garment],
-    looks: list[Looks],
-    skin: Skin,
+    looks: list[ClothLooks],
+    skin: ClipSkin,
     stills: Stills,
     tier: str,
     sheet: Sheet,
@@ -221,7 +221,7 @@ def main(run: Run) -> None:
 
 def _add_rows(run: Run, drapery: DrapeRuntime, names: Sequence[str], clips: Sequence[CaseClip], sheet: Sheet) -> None:
     """Adds the rows of garments of ``names`` over ``clips``."""
-    stills, skins = Stills(drapery), [Skin(clip) for clip in clips]
+    stills, skins = Stills(drapery), [ClipSkin(clip) for clip in clips]
     for garments in outfits(list(names)):
         looks = [stills_of(fine_garment(one)) for one in garments]  # whose filters take a while
         for skin in skins:

@@ -47,7 +47,7 @@ from drape.motion.readers import read_motion
 from drape.stages.encode import REST_S
 from drape.stages.plan import Plan
 from drape.stages.tiers import NAMES
-from drape.wire.clips import pack_clip
+from drape.wire.clip_message import pack_clip
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings

@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.cases import FPS, CaseClip, read_case_clips
 from benchmarks.harness import RESULTS_DIR, Benchmark, Option, Run, inputs
-from benchmarks.measure.moving import BANDS, Looks
+from benchmarks.measure.cloth_looks import BANDS, ClothLooks
 from benchmarks.served import Stream, plan_of
 from benchmarks.tables import Row
 from drape.body.assets import load_body
@@ -50,10 +50,10 @@ def posed_at(clip: CaseClip) -> list[int]:
     return [round(place * (len(clip.poses) - 1)) for place in PLACES]
 
 
-def stills_of(garment: Garment) -> Looks:
+def stills_of(garment: Garment) -> ClothLooks:
     """The looks of a fine ``garment``."""
     at_rest = garment.vertices[: garment.vertex_count].astype(np.float64)
-    return Looks(garment.delivered_rest(), garment.faces.astype(np.int64), at_rest)
+    return ClothLooks(garment.delivered_rest(), garment.faces.astype(np.int64), at_rest)
 
 
 def input_of(clip: CaseClip, frame: int) -> PoseInput:
@@ -62,7 +62,7 @@ def input_of(clip: CaseClip, frame: int) -> PoseInput:
     return PoseInput(clip.poses[rows], clip.trans[rows], shape, np.array([frame / clip.fps]))
 
 
-def still_figures(looks: Looks, vertices: np.ndarray) -> Row:
+def still_figures(looks: ClothLooks, vertices: np.ndarray) -> Row:
     """The measures of cloth at ``vertices`` [m] (V, 3)."""
     one = vertices[None]
     relief = dict(zip((f"{band}_mm" for band in BANDS), looks.relief_mm(one)[0].tolist(), strict=True))

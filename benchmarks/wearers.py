@@ -26,10 +26,10 @@ from drape.errors import MeshError
 from drape.garment.cache import Garment
 from drape.garment.files.mesh import GarmentMesh, read_mesh
 from drape.garment.mesh_checks import UNITS_M
-from drape.garment.registration import posed_by, unpack
+from drape.garment.registration import posed_by, unpack_parameters
 from drape.garment.skin import bind_to_body
 from drape.garment.wearer_fields import known_parameters
-from drape.garment.wearer_reading import Reading, Wearer
+from drape.garment.wearer_reading import Reading, WearerCandidate
 from drape.garment.wearer_search import the_wearer
 from drape.geometry.closest import closest_point, nearest_vertices
 from drape.geometry.skinning import skin_points
@@ -68,7 +68,7 @@ def draw_bodies(body: BodyModel) -> np.ndarray:
     draw = np.random.default_rng(3)
     found = []
     for number in range(BODY_COUNT):
-        shape = unpack(body, known_parameters(body, ("woman", "man", "person")[number % 3], 0.0, 0.0))[0]
+        shape = unpack_parameters(body, known_parameters(body, ("woman", "man", "person")[number % 3], 0.0, 0.0))[0]
         spread = np.array([HEIGHT_SPREAD, *[SHAPE_SPREAD] * (body.shape_count - 1)])
         found.append(shape + spread * draw.standard_normal(body.shape_count) - 0.4 * np.eye(body.shape_count)[0])
     return np.array(found)
@@ -80,7 +80,7 @@ def carry_garment(
     """``garment`` on the body of shape ``betas`` in ``pose``, in a file of a unit, axis and origin that are drawn."""
     parameters = known_parameters(body, "standard", *POSES[pose])
     parameters[: body.shape_count] = betas
-    angles = unpack(body, parameters)[1]
+    angles = unpack_parameters(body, parameters)[1]
     rest = np.asarray(garment.vertices[: garment.vertex_count], dtype=np.float64)
     binding = bind_to_body(rest, garment.faces.astype(np.int64), body)
     rotations, translations = body.bones(angles[None], None, betas)
@@ -92,7 +92,7 @@ def carry_garment(
     shift = shifts[draw.integers(3)]
     lines = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in (worn + shift) @ reading.turn / reading.scale]
     lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in garment.faces.tolist()]
-    truth = Wearer(reading, body, parameters, 0.0, 0.0, 0.0, 0.0, sleeved=True)
+    truth = WearerCandidate(reading, body, parameters, 0.0, 0.0, 0.0, 0.0, sleeved=True)
     sleeved = float(binding.weights[:, ARMS].sum(axis=1).mean()) > SLEEVED
     mesh = read_mesh("\n".join(lines).encode(), name=garment.name, kind="obj")
     return WornCase(mesh, reading, pose, shift, skin, truth.arms_deg, sleeved)

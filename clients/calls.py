@@ -20,7 +20,7 @@ from drape.files.avatar_table import entry_for
 from drape.files.formats import AVATAR_SUFFIXES, MESH_SUFFIXES
 from drape.motion.clip import MotionClip
 from drape.motion.grounding import place_on_ground
-from drape.wire.clips import check_motion, pack_clip
+from drape.wire.clip_message import check_motion, pack_clip
 from drape.wire.jets import JetFrame, split_jets
 from drape.wire.layout import JetLayout, unpack_layout
 from drape.wire.options import options_document

@@ -32,7 +32,7 @@ from clients.calls import (
 from clients.job_steps import Progress, Steps, exact_clip_steps, upload_steps
 from clients.mesh_files import check_at_once, glb_of, surface_of
 from drape.motion.clip import MotionClip
-from drape.wire.clips import frame_bytes
+from drape.wire.clip_message import frame_bytes
 from drape.wire.jets import JetFrame
 from drape.wire.layout import JetLayout
 from drape.wire.options import Resolution

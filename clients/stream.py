@@ -40,7 +40,7 @@ from drape.errors import DrapeError, Unavailable
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, unpack_jets
 from drape.wire.options import options_document
-from drape.wire.rig_poses import RigPose, pack_rig_pose
+from drape.wire.rig_pose_message import RigPose, pack_rig_pose
 
 MESSAGE_LIMIT_BYTES = 16 * 2**20
 OPEN_S = 10.0

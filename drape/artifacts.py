@@ -95,7 +95,7 @@ class Manifest:
     onnxruntime at export. ``quality``: rows of benchmarks.quality. ``training``: commit,
     command, frames seen, losses at the end. ``network``: its sizes, as ``training.config.ModelConfig`` names
     them. ``weights``: None where every graph holds its own. ``tiers``: rows of ``drape.stages.tiers.Tier``, the
-    least first. ``poses``: the file of ``drape.body.pose_support``, None where none was made.
+    least first. ``poses``: the file of ``drape.body.pose_distance``, None where none was made.
     """
 
     name: str

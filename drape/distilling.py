@@ -23,7 +23,7 @@ from drape.avatar.joint_springs import JointSprings, fit_springs
 from drape.avatar.rig_motion import RigClip, RigMotion, rig_motion
 from drape.avatar.wearer import Wearer
 from drape.avatar.worn_file import worn_glb, worn_vrm
-from drape.body.pose_support import wandering
+from drape.body.pose_distance import wandering
 from drape.catalog import MOTIONS_DIR
 from drape.errors import InputError
 from drape.export.glb import GARMENT_COLOURS

@@ -129,7 +129,7 @@ def refusing(main: Callable[P, int]) -> Callable[P, int]:
     return guarded
 
 
-def ended(main: Callable[[], object]) -> int:
+def exit_status(main: Callable[[], object]) -> int:
     """Runs ``main``, which returns a record and no status: 0, or 2 after the sentence of its refusal."""
 
     def run() -> int:

@@ -33,7 +33,7 @@ from drape.avatar.wears import reach_of, why_not
 from drape.avatar.worn_file import undressed_file, worn_on_rig
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.body.model import BodyModel
-from drape.body.pose_support import PoseSupport
+from drape.body.pose_distance import PoseSupport
 from drape.catalog import GARMENTS_DIR, MOTIONS_DIR, find_garments, find_motions, open_outfit, short_name
 from drape.cloth.fabric_table import FABRICS
 from drape.errors import InputError

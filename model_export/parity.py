@@ -24,7 +24,7 @@ from drape.garment.fabric_features import encoder_features
 from drape.geometry.skinning import skin_points
 from drape.graph.feeds import body_feed, garment_feed, kinematics, skinning_feed
 from drape.graph.layer_feed import pack_layer, push_over, sheet
-from drape.graph.packing import Place, compose, pack_body, pack_garment
+from drape.graph.packing import Place, compose_garments, pack_body, pack_garment
 from drape.graph.push_feed import SkinShapes, pack_push
 from model_export.push.push_graphs import Drapes, LayerTensors, PushTensors
 from model_export.readable_graphs import DrapeGraph, DynamicGraph, EncoderGraph, drape_inputs
@@ -41,7 +41,7 @@ def check_parity(name: str, error: float, largest: float, between: str, *, cure:
         raise ArtifactError(name, expected=f"at most {largest} m {between}", got=f"{error:.3g} m", cure=cure)
 
 
-def hard_poses(count: int, *, seed: int = 0) -> np.ndarray:
+def parity_poses(count: int, *, seed: int = 0) -> np.ndarray:
     """Poses (count, 24, 3) [rad]: the rest pose, strong random ones, and one with half turns."""
     rng = np.random.default_rng(seed)
     poses = rng.normal(0.0, 0.45, size=(count, 24, 3))
@@ -72,7 +72,7 @@ def parity_error(model: OneFit, encoder: Path, drape: Path, garment: Garment) ->
     names = [spec.name for spec in drape_inputs(model)]
     worst = 0.0
     for count, scale in ((1, 0.0), (5, 1.0), (16, 2.0)):
-        poses = hard_poses(count, seed=count)
+        poses = parity_poses(count, seed=count)
         rng = np.random.default_rng(count)
         feed = body_feed(body, poses, np.zeros((count, 3)), scale * rng.normal(size=body.shape_count), skin=True)
         arrays = (
@@ -144,14 +144,14 @@ def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Gar
         places.append(Place(patch, tile))
         patch, tile = patch + packed_garment.patch_count, tile + packed_garment.tile_count
     stored = {name: np.concatenate([one.stored[name] for one in garments]) for name in garments[0].stored}
-    poses = hard_poses(BATCH_FRAMES, seed=3)
+    poses = parity_poses(BATCH_FRAMES, seed=3)
     betas = [np.zeros(body.shape_count), np.random.default_rng(0).normal(size=body.shape_count)]
     shape_of = [frame % 2 for frame in range(BATCH_FRAMES)]
     rows = [pack_body(body, betas[shape]).rows(poses[i : i + 1]) for i, shape in enumerate(shape_of)]
     bodies = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
     items = [(i % len(garments), i) for i in range(BATCH_FRAMES)]
     bodies |= SkinShapes(body).feed(bodies["betas"])
-    composition = compose([(garments[g], places[g], frame) for g, frame in items])
+    composition = compose_garments([(garments[g], places[g], frame) for g, frame in items])
     names = [spec.name for spec in drape_inputs(model)]
     code = {}
     if model.config.dynamic:
@@ -208,7 +208,7 @@ def layer_case(outer: Garment, inner: Garment, poses: np.ndarray, clearance_m: f
 def push_parity_error(folder: Path, garment: Garment) -> float:
     """Largest vertex distance [m] between numpy and the graphs in ``folder``: of the garment, and of it worn over its
     like."""
-    poses = hard_poses(3)
+    poses = parity_poses(3)
     cases = {"push_out": push_case(garment, poses), "push_over": layer_case(garment, garment, poses)}
     worst = 0.0
     for name, (arrays, expected) in cases.items():

@@ -17,7 +17,7 @@ COMMAND = ["-m", "pip_audit", "--local", "--format", "json", "--progress-spinner
 SECONDS = 120.0
 
 
-def findings(report: dict[str, Any]) -> tuple[int, list[str]]:
+def vulnerabilities(report: dict[str, Any]) -> tuple[int, list[str]]:
     """How many packages of pip-audit's ``report`` were audited, and a line per vulnerability."""
     audited = [one for one in report["dependencies"] if "vulns" in one]
     lines = []
@@ -39,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
         report, why = {"dependencies": []}, str(error)
     else:
         why = run.stderr.strip()[-300:]
-    audited, lines = findings(report)
+    audited, lines = vulnerabilities(report)
     if lines:
         print("\n".join(["audit: expected no known vulnerability, got", *lines]), file=sys.stderr)
         return 1

@@ -98,7 +98,7 @@ def jets_messages(content: bytes, patches: int) -> np.ndarray:
     return np.stack([blanked(content[at : at + size]) for at in range(0, len(content), size)])
 
 
-def drape(http: httpx.Client, asked: dict[str, Any]) -> dict[str, np.ndarray]:
+def post_drape(http: httpx.Client, asked: dict[str, Any]) -> dict[str, np.ndarray]:
     """What ``POST /drape`` answers: vertices or messages, and the numbers in its headers."""
     answer = http.post("/drape", json=asked)
     if not answer.is_success:
@@ -111,7 +111,7 @@ def drape(http: httpx.Client, asked: dict[str, Any]) -> dict[str, np.ndarray]:
     return {"frames": frames, "headers": np.array(numbers)}
 
 
-async def stream(url: str, opening: dict[str, Any], poses: np.ndarray, trans: np.ndarray) -> list[np.ndarray]:
+async def stream_frames(url: str, opening: dict[str, Any], poses: np.ndarray, trans: np.ndarray) -> list[np.ndarray]:
     """The frames of one stream, a pose at a time; half-way it is opened again with less motion."""
     frames = []
     address = url.replace("http", "ws", 1) + "/stream"
@@ -136,7 +136,7 @@ def dump(path: Path) -> None:
     arrays: dict[str, np.ndarray] = {}
     with service() as url, httpx.Client(base_url=url, timeout=300.0) as http:
         for name, asked in requests(http):
-            arrays |= {f"{name}: {part}": array for part, array in drape(http, asked).items()}
+            arrays |= {f"{name}: {part}": array for part, array in post_drape(http, asked).items()}
         walk = clip(http, "walk", 40, STREAM_POSES)
         poses, trans = np.array(walk["poses"]), np.array(walk["trans"])
         body = http.get("/bodies").json()[0]["id"]
@@ -149,7 +149,7 @@ def dump(path: Path) -> None:
             "plain": {"garment": "dress", "advanced": {"push_out": False, "passes": 1}},
         }
         for name, opening in openings.items():
-            arrays[f"stream {name}: frames"] = np.stack(asyncio.run(stream(url, opening, poses, trans)))
+            arrays[f"stream {name}: frames"] = np.stack(asyncio.run(stream_frames(url, opening, poses, trans)))
     np.savez(path, **arrays)  # pyright: ignore[reportArgumentType]
     print(f"{path}: {sum(len(array) for name, array in arrays.items() if name.endswith('frames'))} frames")
 

@@ -46,7 +46,7 @@ def module_of(path: str) -> str | None:
     return path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
 
-def distances(graph: grimp.ImportGraph, modules: Iterable[str]) -> dict[str, int]:
+def import_distances(graph: grimp.ImportGraph, modules: Iterable[str]) -> dict[str, int]:
     """How many imports lie between each module that reaches one of ``modules`` and that one."""
     steps = {module: 0 for module in modules if module in graph.modules}
     last, far = set(steps), 0
@@ -78,10 +78,10 @@ def _imported(tree: ast.AST) -> Iterator[str]:
             yield from (f"{node.module}.{name.name}" for name in node.names)
 
 
-def reached(changed: list[str]) -> list[str]:
+def reached_tests(changed: list[str]) -> list[str]:
     """Test files that ``changed`` files reach, the nearest first."""
     modules = {module for path in changed if (module := module_of(path))}
-    far = distances(grimp.build_graph(*PACKAGES), modules)
+    far = import_distances(grimp.build_graph(*PACKAGES), modules)
     stems = {Path(path).stem for path in changed}
     folders = {folder for path in changed for prefix, folder in READERS.items() if path.startswith(prefix)}
     rank: dict[str, tuple[float, int]] = {}
@@ -105,7 +105,7 @@ def _shared(path: str, other: str) -> int:
 
 def main() -> None:
     """Prints the files, one a line."""
-    print(*reached(changed_files(sys.argv[1] if len(sys.argv) > 1 else None)), sep="\n")
+    print(*reached_tests(changed_files(sys.argv[1] if len(sys.argv) > 1 else None)), sep="\n")
 
 
 if __name__ == "__main__":

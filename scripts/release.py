@@ -27,7 +27,7 @@ MEMBERS = ("service", "clients", "recovery", "training", "model_export")
 PAGES = ROOT / "service" / "pages"
 
 
-def built(folder: str, *arguments: str, system: str = "") -> None:
+def build_member(folder: str, *arguments: str, system: str = "") -> None:
     """Packs the member in ``folder`` into dist/, where asked for ``system``."""
     command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(DIST), *arguments, folder]
     subprocess.run(command, cwd=ROOT, env=os.environ | {"DRAPE_SYSTEM": system}, check=True, stdout=subprocess.DEVNULL)
@@ -49,7 +49,7 @@ def pack_members(members: tuple[str, ...]) -> None:
         put_pages()
         for member, licence in zip(members, licences, strict=True):
             shutil.copy(ROOT / "LICENSE", licence)
-            built(member)  # the wheel comes from the sdist, so that this one is whole
+            build_member(member)  # the wheel comes from the sdist, so that this one is whole
             print(f"release: {member}", flush=True)
     finally:
         shutil.rmtree(PAGES, ignore_errors=True)
@@ -65,9 +65,9 @@ def main() -> None:
     shutil.rmtree(DIST, ignore_errors=True)
     pack_members(("service",) if for_image else MEMBERS)
     if not for_image:
-        built(".", "--sdist")
+        build_member(".", "--sdist")
     for system in [host()] if for_image else TARGETS:
-        built(".", "--wheel", system=system)
+        build_member(".", "--wheel", system=system)
         print(f"release: drape for {system}", flush=True)
 
 

@@ -19,9 +19,9 @@ from drape.files.formats import BESIDE_SUFFIXES, MESH_SUFFIXES  # noqa: E402
 from drape.geometry import jets  # noqa: E402
 from drape.wire import jets as wire_jets  # noqa: E402
 from drape.wire import layout as jet_layout  # noqa: E402
-from drape.wire import meshes as wire_meshes  # noqa: E402
+from drape.wire import mesh_messages as wire_meshes  # noqa: E402
 from drape.wire import messages as wire  # noqa: E402
-from drape.wire import rig_poses  # noqa: E402
+from drape.wire import rig_pose_message  # noqa: E402
 
 TARGET = ROOT / "clients/web/lib/src/wire_table.js"
 RECORDS_TARGET = TARGET.with_name("records.js")
@@ -129,7 +129,7 @@ def generate() -> str:
         pose_bytes=wire.POSE_BYTES,
         ack_bytes=wire.ACK_BYTES,
         same_bytes=wire.SAME_BYTES,
-        rig_pose_bytes=rig_poses.HEADER_BYTES,
+        rig_pose_bytes=rig_pose_message.HEADER_BYTES,
         frame_bytes=wire.FRAME_HEADER_BYTES,
         prefix=layout_text(wire.PREFIX),
         layouts=layouts,

@@ -35,7 +35,7 @@ def told(containers: str, *words: str) -> str:
 
 
 @contextmanager
-def running(ask: partial[str], image: str, isa: str = "") -> Iterator[float]:
+def run_container(ask: partial[str], image: str, isa: str = "") -> Iterator[float]:
     """A container with the engine for ``isa``; yields after how many seconds it was ready."""
     begin = time.monotonic()
     options = ("--detach", f"--name={NAME}", f"--publish=127.0.0.1:{PORT}:8000", f"--volume={VOLUME}:/data", *CAREFUL)
@@ -101,12 +101,12 @@ def main() -> None:
     look_at(ask, image)
     ask("volume", "create", VOLUME)
     try:
-        with running(ask, image) as ready_s:
+        with run_container(ask, image) as ready_s:
             print(f"image: ready after {ready_s:.1f} s (target {READY_TARGET_S:g}), {drape(PORT)} vertices", flush=True)
             check_health(ask, image)
             garment = send_a_garment()
             print(f"image: ended {end(ask):.1f} s after SIGTERM (target {END_LIMIT_S:g})", flush=True)
-        with running(ask, image, OLDER) as ready_s:
+        with run_container(ask, image, OLDER) as ready_s:
             kept = [one["id"] for one in json.loads(answer(PORT, "/garments"))]
             assert garment in kept, f"{garment} is not among {kept}"
             print(f"image: an older processor: ready after {ready_s:.1f} s, {drape(PORT)} vertices, {garment} kept")

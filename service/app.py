@@ -48,7 +48,7 @@ from service.watch.probes import Lifecycle
 from service.watch.prometheus import Metrics
 from service.watch.tracing import make_tracing
 from service.watch.turns import LoopWatch
-from service.watch.watchdog import Lane, Watchdog
+from service.watch.watchdog import ThreadLane, Watchdog
 
 ROUTERS = (
     info_routes.router,
@@ -77,7 +77,7 @@ def create_app(
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         state = make_state(runtime or DrapeRuntime(settings, metrics=metrics, tracing=tracing), access, life)
         app.state.drape = state
-        asyncio.get_running_loop().set_default_executor(Lane("calls"))
+        asyncio.get_running_loop().set_default_executor(ThreadLane("calls"))
         with (watch := LoopWatch(metrics)).watching():
             state.start(exact_clips.opener(state))
             ticking = asyncio.create_task(life.tick(watch.late), name="ticking")

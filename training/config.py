@@ -219,7 +219,7 @@ def finetune() -> TrainConfig:
     return TrainConfig(data=data, minutes=10.0, learning_rate=3e-4, warmup_steps=50, early_agreement=1.0)
 
 
-def go_on() -> TrainConfig:
+def continuation() -> TrainConfig:
     """Further training of a static model on the shipped preset's garments, for smoother motion and more area.
 
     Half of the steps take no pass of corrections: folds on the vertices need none of them.

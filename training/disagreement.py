@@ -43,7 +43,7 @@ def chart_positions(garment: Garment, jet: np.ndarray, rotation: np.ndarray, cen
     _check(garment, jet, rotation, centre)
     patch, uv = garment.chart_patch, garment.chart_uv.astype(np.float64)
     scale = garment.patch_scale[patch].astype(np.float64)[..., None]
-    local = garment.chart_local() + scale * jets.evaluate(jet.astype(np.float64)[:, patch], uv)
+    local = garment.chart_local() + scale * jets.evaluate_jet(jet.astype(np.float64)[:, patch], uv)
     return (rotation.astype(np.float64)[:, patch] @ local[..., None])[..., 0] + centre.astype(np.float64)[:, patch]
 
 
@@ -57,7 +57,7 @@ def chart_normals(garment: Garment, jet: np.ndarray, rotation: np.ndarray) -> np
     _check(garment, jet, rotation, np.zeros((*jet.shape[:2], 3)))
     jet, patch, uv = jet.astype(np.float64), garment.chart_patch, garment.chart_uv.astype(np.float64)
     scale = garment.patch_scale[patch].astype(np.float64)[..., None]
-    by_u, by_v = (scale * jets.evaluate(jet[:, patch], uv, **d) for d in ({"u_times": 1}, {"v_times": 1}))
+    by_u, by_v = (scale * jets.evaluate_jet(jet[:, patch], uv, **d) for d in ({"u_times": 1}, {"v_times": 1}))
     normal = cross(*(own + along[..., 0:1] * by_u + along[..., 1:2] * by_v for own, along in rest_tangents(garment)))
     normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-30)
     return (rotation.astype(np.float64)[:, patch] @ normal[..., None])[..., 0]

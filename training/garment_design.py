@@ -44,7 +44,7 @@ SNAP_SHARE = 0.45  # a vertex moves onto the cut when the cut passes this near a
 
 
 @dataclass(frozen=True)
-class Design:
+class GarmentCuts:
     """The cuts of a garment and its distance from the body; ``None`` leaves a cut out.
 
     ``hem_y`` lowest height of the torso; ``waist_y`` upper edge of trousers, and where the cloth of a
@@ -74,17 +74,17 @@ class Design:
 
 CREW = (0.085, 0.115, 0.115)
 SCOOP = (0.105, 0.19, 0.135)
-SIX: tuple[Design, ...] = (
-    Design("tshirt", hem_y=0.935, sleeve_x=0.40, neck=CREW, ease=0.018, flare=0.04, smoothing=50),
-    Design("longsleeve", hem_y=0.925, sleeve_x=0.69, neck=CREW, ease=0.014, flare=0.04, smoothing=40),
-    Design("tank", hem_y=0.95, armhole=0.5, neck=SCOOP, ease=0.012, flare=0.06, smoothing=40),
-    Design("trousers", waist_y=1.06, leg_y=0.12, ease=0.014, flare=0.03),
-    Design("shorts", waist_y=1.06, leg_y=0.56, ease=0.018, flare=0.08),
-    Design("dress", waist_y=1.10, armhole=0.5, neck=SCOOP, ease=0.010, skirt_flare=0.28, skirt_hem_y=0.48),
+SIX: tuple[GarmentCuts, ...] = (
+    GarmentCuts("tshirt", hem_y=0.935, sleeve_x=0.40, neck=CREW, ease=0.018, flare=0.04, smoothing=50),
+    GarmentCuts("longsleeve", hem_y=0.925, sleeve_x=0.69, neck=CREW, ease=0.014, flare=0.04, smoothing=40),
+    GarmentCuts("tank", hem_y=0.95, armhole=0.5, neck=SCOOP, ease=0.012, flare=0.06, smoothing=40),
+    GarmentCuts("trousers", waist_y=1.06, leg_y=0.12, ease=0.014, flare=0.03),
+    GarmentCuts("shorts", waist_y=1.06, leg_y=0.56, ease=0.018, flare=0.08),
+    GarmentCuts("dress", waist_y=1.10, armhole=0.5, neck=SCOOP, ease=0.010, skirt_flare=0.28, skirt_hem_y=0.48),
 )
 # Trained on beside the six.
-EXTRA: tuple[Design, ...] = (
-    Design("skirt", band_y=1.06, waist_y=0.95, ease=0.008, flare=0.0, skirt_flare=0.15, skirt_hem_y=0.50),
+EXTRA: tuple[GarmentCuts, ...] = (
+    GarmentCuts("skirt", band_y=1.06, waist_y=0.95, ease=0.008, flare=0.0, skirt_flare=0.15, skirt_hem_y=0.50),
 )
 DESIGNS = {design.name: design for design in (*SIX, *EXTRA)}
 
@@ -160,7 +160,7 @@ def compact(vertices: np.ndarray, faces: np.ndarray, extra: np.ndarray) -> tuple
     return vertices[used], renumbered, extra[used]
 
 
-def build_design(design: Design, body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
+def build_design(design: GarmentCuts, body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
     """Vertices [m] (N, 3) and faces (F, 3) of ``design`` on ``body``, at least 6 mm clear of it."""
     floor = np.array([0.0, body.v_template[:, 1].min(), 0.0])
     vertices, faces, weights = helper_surface("tights")
@@ -196,7 +196,7 @@ def build_design(design: Design, body: BodyModel) -> tuple[np.ndarray, np.ndarra
 
 
 def _attach_skirt(
-    vertices: np.ndarray, faces: np.ndarray, design: Design, floor: np.ndarray
+    vertices: np.ndarray, faces: np.ndarray, design: GarmentCuts, floor: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Joins the helper skirt below the bodice: rows of a regular grid from the bodice's lower edge to the hem."""
     skirt_vertices, skirt_faces, _ = helper_surface("skirt")
@@ -251,7 +251,7 @@ def _ring(profile: trimesh.Trimesh, height: float, centre: np.ndarray, angle: np
     )
 
 
-def _stand_off(vertices: np.ndarray, faces: np.ndarray, design: Design) -> np.ndarray:
+def _stand_off(vertices: np.ndarray, faces: np.ndarray, design: GarmentCuts) -> np.ndarray:
     """Vertices moved out by ease and flare, hollows bridged by smoothing; rims smoothed along themselves."""
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     normals = np.asarray(mesh.vertex_normals)
@@ -324,7 +324,9 @@ def _outward(points: np.ndarray, body: BodyModel) -> tuple[np.ndarray, np.ndarra
     return distance, away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
 
 
-def vary_design(design: Design, body: BodyModel, rng: np.random.Generator) -> tuple[Design, np.ndarray, np.ndarray]:
+def vary_design(
+    design: GarmentCuts, body: BodyModel, rng: np.random.Generator
+) -> tuple[GarmentCuts, np.ndarray, np.ndarray]:
     """A random neighbour of ``design`` with as many openings as it, and its mesh.
 
     A draw that cuts a strap or a bridge away is thrown back: without it the garment would
@@ -339,7 +341,7 @@ def vary_design(design: Design, body: BodyModel, rng: np.random.Generator) -> tu
             return candidate, vertices, faces
 
 
-def vary(design: Design, rng: np.random.Generator) -> Design:
+def vary(design: GarmentCuts, rng: np.random.Generator) -> GarmentCuts:
     """A random neighbour of ``design``: hems, sleeves, neckline, ease and flare within wearable ranges."""
 
     def jitter(value: float | None, spread: float) -> float | None:
@@ -368,7 +370,7 @@ def vary(design: Design, rng: np.random.Generator) -> Design:
     )
 
 
-def cut_garment(design: Design, body: BodyModel) -> Garment:
+def cut_garment(design: GarmentCuts, body: BodyModel) -> Garment:
     """``design`` on ``body`` as the product keeps a garment: fitted patches, no texture coordinates, no rest state."""
     vertices, faces = build_design(design, body)
     key = vertices.tobytes() + faces.tobytes() + body.digest.encode() + f"{FORMAT_VERSION}.{INTAKE_VERSION}".encode()

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from drape.cloth import energies
-from drape.cloth.contact import nearest_vertices, plane_distance
+from drape.cloth.contact import nearest_body_vertices, plane_distance
 from drape.cloth.material import Material
 from drape.cloth.waistband import band_energy
 from drape.graph.inputs import BodyTensors
@@ -102,7 +102,7 @@ def contact_planes(vertices: Tensor, body: BodyBatch, *, share: float, generator
     count = vertices.shape[1]
     sample = torch.randperm(count, generator=generator)[: max(1, round(share * count))].to(vertices.device)
     touched = vertices.detach().index_select(1, sample)
-    index = nearest_vertices(touched.cpu().numpy(), body.collider)
+    index = nearest_body_vertices(touched.cpu().numpy(), body.collider)
     frame = np.arange(len(index))[:, None]
     point = torch.from_numpy(body.collider[frame, index]).to(vertices.device)
     normal = torch.from_numpy(body.collider_normals[frame, index].astype(np.float32)).to(vertices.device)

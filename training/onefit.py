@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from drape.contact.proximity import Planes, body_proximity, held_share, planes
 from drape.garment.consensus import strain_points
-from drape.garment.features import saturated
+from drape.garment.patch_features import saturated
 from drape.geometry import jets
 from drape.geometry.skinning import blend_frames, skin_points
 from drape.graph.inputs import BodyTensors, ChartTensors, PatchTensors

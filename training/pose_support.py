@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from drape.artifacts import DEFAULT_MODEL, FileSpec, load_manifest, model_folder
-from drape.body.pose_support import PARTS, STEPS, PoseSupport, pose_parts
+from drape.body.pose_distance import PARTS, STEPS, PoseSupport, pose_parts
 from drape.body.skeleton import JOINT_COUNT
 from drape.catalog import MOTIONS_DIR
 from drape.errors import NotFound
@@ -35,7 +35,7 @@ FILE = "poses.npz"
 def support_of(seen: np.ndarray, unseen: np.ndarray, *, kept: Mapping[str, int] = KEPT) -> PoseSupport:
     """The support of the poses ``seen`` (n, 24, 3) [rad]; ``PASSING`` of ``unseen`` (m, 24, 3) are within."""
     poses = np.concatenate([np.zeros((1, JOINT_COUNT, 3)), seen, mirror_poses(seen)])
-    rows = {name: _steps(farthest_points(part, kept[name])) for name, part in pose_parts(poses).items()}
+    rows = {name: _steps(spread_rows(part, kept[name])) for name, part in pose_parts(poses).items()}
     support = PoseSupport(**rows, limits=np.ones(len(PARTS)))
     # Each part lets as many go, so that all together let no more go than was asked.
     passing = 1.0 - (1.0 - PASSING) / len(PARTS)
@@ -43,7 +43,7 @@ def support_of(seen: np.ndarray, unseen: np.ndarray, *, kept: Mapping[str, int] 
     return replace(support, limits=np.maximum(limits, 1e-6))
 
 
-def farthest_points(rows: np.ndarray, count: int) -> np.ndarray:
+def spread_rows(rows: np.ndarray, count: int) -> np.ndarray:
     """At most ``count`` of ``rows`` (n, d), from the first on: each the one furthest from those before."""
     chosen, far = [0], np.full(len(rows), np.inf)
     while len(chosen) < count:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
-from drape.body.pose_support import BODY_JOINTS, LEGS
+from drape.body.pose_distance import BODY_JOINTS, LEGS
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MotionError
 from drape.geometry.rotations import rotvec_to_matrix

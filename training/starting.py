@@ -14,7 +14,7 @@ from drape.catalog import find_garments
 from drape.errors import ArtifactError, InputError
 from training import checkpoint
 from training.checkpoint import model_config_from
-from training.config import ModelConfig, TrainConfig, finetune, go_on
+from training.config import ModelConfig, TrainConfig, continuation, finetune
 from training.onefit import OneFit
 
 Weights = dict[str, Tensor]
@@ -76,7 +76,7 @@ def finetuned(model: Path, garments: list[str] | None) -> tuple[TrainConfig, Wei
     A dynamic model's static drape is trained; --preset dynamic adds motion to the result.
     """
     weights, sizes, held_out = read_model(model)
-    config = with_garments(finetune(), garments) if garments else go_on()
+    config = with_garments(finetune(), garments) if garments else continuation()
     static = {name: value for name, value in weights.items() if not name.startswith("dynamic.")}
     data = replace(config.data, held_out=held_out)
     return replace(config, model=replace(sizes, dynamic=False, fabric=sizes.variant == "vector"), data=data), static

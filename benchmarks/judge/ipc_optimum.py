@@ -36,7 +36,7 @@ def minimise_apart(
     """
 
     def descend(cloth: Cloth, posed: np.ndarray, starts: list[np.ndarray], band: Band | None) -> Found:
-        one = apart.Descent(cloth, task.contact, posed, starts[0], band=band)
+        one = apart.ApartDescent(cloth, task.contact, posed, starts[0], band=band)
         return one.run(step_limit, tolerance * cloth.weight_n)
 
     return physics.descend_from_starts(task, descend)

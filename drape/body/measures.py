@@ -57,7 +57,7 @@ class Measures(NamedTuple):
     weight_kg: float
 
 
-class Levels(NamedTuple):
+class SectionHeights(NamedTuple):
     """Heights [m] of the sections, in the body's frame."""
 
     chest_m: float
@@ -89,10 +89,10 @@ class Landmarks:
     waist_share: float
     trunk: np.ndarray
 
-    def levels(self, vertices: np.ndarray) -> Levels:
+    def levels(self, vertices: np.ndarray) -> SectionHeights:
         """The levels of a body at rest, linear in ``vertices`` [m] (V, 3)."""
         chest, seat = float(vertices[self.chest, 1]), float(vertices[self.seat, 1])
-        return Levels(chest, seat + self.waist_share * (chest - seat), seat)
+        return SectionHeights(chest, seat + self.waist_share * (chest - seat), seat)
 
 
 @lru_cache(maxsize=8)
@@ -145,7 +145,7 @@ def section_tape(vertices: np.ndarray, edges: np.ndarray, y: float) -> Tape:
     return Tape(crossed, share, hull)
 
 
-def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+def enclosed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     """The volume [m^3] inside the closed surface ``faces`` (F, 3) of ``vertices`` [m] (V, 3), by Gauss's theorem."""
     first, second, third = (vertices[faces[:, i]] for i in range(3))
     return float(np.einsum("fc,fc->", first, np.cross(second, third)) / 6.0)
@@ -165,7 +165,7 @@ def measures(body: BodyModel, betas: np.ndarray | None = None) -> Measures:
         inseam_m=float(vertices[place.crotch, 1]) - soles,
         sleeve_m=_sleeve(joints),
         shoulder_m=float(np.linalg.norm(first - second)),
-        weight_kg=DENSITY_KG_M3 * volume(vertices, body.faces),
+        weight_kg=DENSITY_KG_M3 * enclosed_volume(vertices, body.faces),
     )
 
 

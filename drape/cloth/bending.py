@@ -54,24 +54,24 @@ def hinge(corners: Corners, collapsed: float = COLLAPSED) -> Hinge:
     return Hinge(_dot(n1, n2) * scale, -length * _dot(n1, b) * scale, e, (a, b), (n1, n2), length, squares)
 
 
-def fold(hinges: Hinge, cosine: Array, sine: Array) -> Array:
+def one_minus_cosine(hinges: Hinge, cosine: Array, sine: Array) -> Array:
     """1 - cos(theta - theta0) (..., H), from cosine and sine of theta0."""
     return 1.0 - (hinges.cosine * cosine + hinges.sine * sine)
 
 
-def energy(corners: Corners, stiffness_j: Array, rest_rad: Array) -> Array:
+def bending_energy(corners: Corners, stiffness_j: Array, rest_rad: Array) -> Array:
     """Energy [J] (H,) of every hinge of ``stiffness_j`` k w (H,) with the angle ``rest_rad`` (H,) at rest."""
     xp = namespace(rest_rad)
-    return stiffness_j * fold(hinge(corners), xp.cos(rest_rad), xp.sin(rest_rad))
+    return stiffness_j * one_minus_cosine(hinge(corners), xp.cos(rest_rad), xp.sin(rest_rad))
 
 
-def gradient(corners: Corners, stiffness_j: Array, rest_rad: Array) -> Array:
+def bending_gradient(corners: Corners, stiffness_j: Array, rest_rad: Array) -> Array:
     """Derivative [N] (4, 3, H) of the energy by the corners: minus the force."""
     found = hinge(corners)
     return stiffness_j * _turn(found, rest_rad)[1] * angle_gradient(found)
 
 
-def hessian(corners: Corners, stiffness_j: Array, rest_rad: Array, *, definite: bool) -> Array:
+def bending_hessian(corners: Corners, stiffness_j: Array, rest_rad: Array, *, definite: bool) -> Array:
     """Second derivative [N/m] (12, 12, H) of the energy.
 
     ``definite`` takes every hinge as stiff as an unbent one, and leaves out the curvature of the angle.
@@ -85,7 +85,7 @@ def hessian(corners: Corners, stiffness_j: Array, rest_rad: Array, *, definite: 
     return stiffness_j * (cosine * slope[:, None] * slope + sine * _angle_hessian(edge))
 
 
-def bilinear(corners: Corners, stiffness_j: Array, left: Array, right: Array) -> Array:
+def bending_bilinear(corners: Corners, stiffness_j: Array, left: Array, right: Array) -> Array:
     """``left``^T H ``right`` per hinge (H,) for directions (4, 3, H); H the definite Hessian, never stored."""
     xp = namespace(stiffness_j)
     slope = angle_gradient(hinge(corners))

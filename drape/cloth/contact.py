@@ -75,11 +75,11 @@ class BodyContact:
         """Planes under ``points`` [m] (B, V, 3) of the posed bodies ``body_vertices`` (B, Vb, 3)."""
         if normals is None:
             normals = np.asarray(self.normals(body_vertices))
-        index = nearest_vertices(points, body_vertices, vertices=self.vertices)
+        index = nearest_body_vertices(points, body_vertices, vertices=self.vertices)
         return ContactPlanes(take_rows(body_vertices, index), take_rows(normals, index), index)
 
 
-def nearest_vertices(
+def nearest_body_vertices(
     points: np.ndarray, body_vertices: np.ndarray, *, vertices: np.ndarray | None = None
 ) -> np.ndarray:
     """Index (B, V) of the body vertex nearest to each of ``points`` (B, V, 3), among ``vertices`` (C,) or all."""
@@ -122,7 +122,7 @@ def nearest_vertex_push(
     """
     pushed = np.array(vertices, dtype=np.float64)
     for _ in range(passes):
-        index = nearest_vertices(pushed, body_vertices, vertices=colliders)
+        index = nearest_body_vertices(pushed, body_vertices, vertices=colliders)
         normal = take_rows(body_normals, index)
         missing = clearance_m - plane_distance(pushed, take_rows(body_vertices, index), normal)
         if not (missing > 0.0).any():

@@ -13,10 +13,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from drape.arrays import Array, device, namespace
-from drape.cloth.bending import fold, hinge
+from drape.cloth.bending import hinge, one_minus_cosine
 from drape.cloth.material import Material
-from drape.cloth.membrane import RestTriangles, rest_triangles
-from drape.cloth.membrane import energy as membrane_energy
+from drape.cloth.membrane import RestTriangles, membrane_energy, rest_triangles
 from drape.cloth.rest_state import RestState, modelled
 from drape.geometry import meshes
 
@@ -216,7 +215,7 @@ def _membrane(planes: Array, mesh: ClothMesh, material: Material) -> Array:
 def _bending(planes: Array, mesh: ClothMesh, material: Material) -> Array:
     xp = namespace(planes)
     hinges = hinge(_corners(planes * (1.0 / mesh.mean_edge_m), mesh.hinge_index, 4), DEGENERATE)
-    weighted = mesh.hinge_weight * fold(hinges, mesh.hinge_cosine, mesh.hinge_sine)
+    weighted = mesh.hinge_weight * one_minus_cosine(hinges, mesh.hinge_cosine, mesh.hinge_sine)
     turned = weighted @ mesh.hinge_turn  # (..., 2)
     mean, second, fourth = (_scalar(b) for b in material.bending)
     return mean * xp.sum(weighted, axis=-1) + second * turned[..., 0] + fourth * turned[..., 1]

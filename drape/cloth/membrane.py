@@ -46,7 +46,7 @@ def rest_triangles(first: Array, second: Array) -> RestTriangles:
     return RestTriangles(inverse, 0.5 * namespace(first).abs(double))
 
 
-def columns(corners: Corners, inverse: Array) -> tuple[Array, Array]:
+def deformation_columns(corners: Corners, inverse: Array) -> tuple[Array, Array]:
     """The columns p and t (3, ..., F) of the deformation gradient; linear in ``corners``."""
     first, second = corners[1] - corners[0], corners[2] - corners[0]
     a, b, c, d = namespace(inverse).unstack(inverse, axis=0)
@@ -65,25 +65,25 @@ def stress(strain: Sequence[Array], stiffness: Stiffness) -> Symmetric:
     return warp * pp + cross * tt, cross * pp + weft * tt, 0.5 * shear * pt
 
 
-def energy(corners: Corners, rest: RestTriangles, stiffness: Stiffness) -> Array:
+def membrane_energy(corners: Corners, rest: RestTriangles, stiffness: Stiffness) -> Array:
     """Energy [J] (..., F) of every triangle."""
-    strain = green_strain(*columns(corners, rest.inverse))
+    strain = green_strain(*deformation_columns(corners, rest.inverse))
     return (0.5 * rest.area) * _double_dot(stress(strain, stiffness), strain)
 
 
-def gradient(corners: Corners, rest: RestTriangles, stiffness: Stiffness) -> Array:
+def membrane_gradient(corners: Corners, rest: RestTriangles, stiffness: Stiffness) -> Array:
     """Derivative [N] (3, 3, F) of the energy by the corners: minus the force."""
-    p, t = columns(corners, rest.inverse)
+    p, t = deformation_columns(corners, rest.inverse)
     pp, tt, pt = stress(green_strain(p, t), stiffness)
     by_p, by_t = rest.area * (pp * p + pt * t), rest.area * (pt * p + tt * t)
     along, across = _slopes(rest.inverse)
     return along[:, None] * by_p + across[:, None] * by_t
 
 
-def hessian(corners: Corners, rest: RestTriangles, stiffness: Stiffness, *, definite: bool) -> Array:
+def membrane_hessian(corners: Corners, rest: RestTriangles, stiffness: Stiffness, *, definite: bool) -> Array:
     """Second derivative [N/m] (9, 9, F) of the energy; ``definite`` keeps of the stress only ``tension``."""
     xp = namespace(rest.area)
-    p, t = columns(corners, rest.inverse)
+    p, t = deformation_columns(corners, rest.inverse)
     along, across = _slopes(rest.inverse)
     count = along.shape[-1]
     by_p, by_t = along[:, None], across[:, None]
@@ -96,10 +96,12 @@ def hessian(corners: Corners, rest: RestTriangles, stiffness: Stiffness, *, defi
     return rest.area * (elastic + xp.reshape(pulled[:, None, :, None] * identity, (9, 9, count)))
 
 
-def bilinear(corners: Corners, rest: RestTriangles, stiffness: Stiffness, left: Corners, right: Corners) -> Array:
+def membrane_bilinear(
+    corners: Corners, rest: RestTriangles, stiffness: Stiffness, left: Corners, right: Corners
+) -> Array:
     """``left``^T H ``right`` per triangle (F,), directions like ``corners``; H the definite Hessian, never stored."""
-    p, t = columns(corners, rest.inverse)
-    (lp, lt), (rp, rt) = columns(left, rest.inverse), columns(right, rest.inverse)
+    p, t = deformation_columns(corners, rest.inverse)
+    (lp, lt), (rp, rt) = deformation_columns(left, rest.inverse), deformation_columns(right, rest.inverse)
     by_left, by_right = (
         (_dot(p, dp), _dot(t, dt), 0.5 * (_dot(p, dt) + _dot(t, dp))) for dp, dt in ((lp, lt), (rp, rt))
     )

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from drape.cloth import energies
-from drape.cloth.contact import BodyContact, nearest_vertices, plane_distance, take_rows
+from drape.cloth.contact import BodyContact, nearest_body_vertices, plane_distance, take_rows
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.errors import InputError, MeshError
@@ -31,7 +31,7 @@ def area_strain_pct(vertices: np.ndarray, rest: np.ndarray, faces: np.ndarray) -
 
 def colliding_vertex_pct(vertices: np.ndarray, body_vertices: np.ndarray, body_normals: np.ndarray) -> np.ndarray:
     """Share of garment vertices (B, V, 3) behind the tangent plane of the nearest of all body vertices (B, Vb, 3)."""
-    index = nearest_vertices(vertices, body_vertices)
+    index = nearest_body_vertices(vertices, body_vertices)
     distance = plane_distance(vertices, take_rows(body_vertices, index), take_rows(body_normals, index))
     return 100.0 * (distance < 0.0).mean(axis=-1)
 

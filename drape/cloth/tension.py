@@ -59,7 +59,7 @@ def face_pressure(vertices: np.ndarray, cloth: ClothMesh, stiffness: membrane.St
 
 def _columns(values: np.ndarray, cloth: ClothMesh) -> tuple[np.ndarray, np.ndarray]:
     """The slopes (3, F) of ``values`` (V, 3) along warp and weft."""
-    return membrane.columns([values[column].T for column in cloth.faces.T], cloth.inverse_shape)
+    return membrane.deformation_columns([values[column].T for column in cloth.faces.T], cloth.inverse_shape)
 
 
 def face_means(values: np.ndarray, cloth: ClothMesh) -> np.ndarray:

@@ -66,7 +66,7 @@ def yield_to(x: np.ndarray, step: np.ndarray, corner: np.ndarray, triangles: int
     call_with_scratch("yield_to", np.float64, x, step, corner, len(corner), triangles, *wanted)
 
 
-class Descent(newton.Descent):
+class ApartDescent(newton.Descent):
     """A descent that keeps the cloth apart from itself."""
 
     def __init__(

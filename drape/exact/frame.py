@@ -169,7 +169,7 @@ def _arrived(
 
 def _down(sheet: ExactCloth, posed: np.ndarray, x: np.ndarray, band: Band | None) -> Found:
     """Where the cloth comes down to from ``x`` [m] (V, 3) over the ``posed`` body."""
-    one = apart.Descent(sheet.cloth, sheet.contact, posed, x, band=band)
+    one = apart.ApartDescent(sheet.cloth, sheet.contact, posed, x, band=band)
     return one.run(STEPS, TOLERANCE * sheet.cloth.weight_n)
 
 

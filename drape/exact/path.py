@@ -115,7 +115,7 @@ def _taken(
     least, and more while it is in the skin."""
     outer = creases.outside(contact, posed)
     goal = creases.out_of(outer, posed, goal, float(cloth.problem.constants.gap))
-    descent = apart.Descent(cloth, outer, posed, x, drawn=_towards(goal, cloth, HOLD_N_PER_M))
+    descent = apart.ApartDescent(cloth, outer, posed, x, drawn=_towards(goal, cloth, HOLD_N_PER_M))
     _go(descent, goal)
     for number in range(1, ROUNDS + 1):
         if number > least and descent.deepest_m() < DEEP_M:
@@ -131,7 +131,7 @@ def drawn_to(
     (V, 3) as it comes."""
     outer = creases.outside(contact, posed)
     goal = creases.out_of(outer, posed, goal, float(cloth.problem.constants.gap))
-    one = apart.Descent(cloth, outer, posed, x, band=band, drawn=_towards(goal, cloth, DRAWN_N_PER_M))
+    one = apart.ApartDescent(cloth, outer, posed, x, band=band, drawn=_towards(goal, cloth, DRAWN_N_PER_M))
     _go(one, goal)
     one.run(DRAWN_STEPS, 0.0)
     return one.now.x
@@ -142,7 +142,7 @@ def _towards(goal: np.ndarray, cloth: Cloth, n_per_m: float) -> Band:
     return Band(goal, n_per_m * cloth.problem.contact_n_per_m / cloth.problem.contact_n_per_m.mean())
 
 
-def _go(one: apart.Descent, goal: np.ndarray) -> None:
+def _go(one: apart.ApartDescent, goal: np.ndarray) -> None:
     """Moves towards ``goal`` [m] (V, 3), whatever the energy."""
     for _ in range(CARRIED):
         one.go(goal - one.now.x)

@@ -72,7 +72,9 @@ def read_scene(payload: bytes, fault: Callable[[str, str, str], DrapeError]) -> 
     return FbxScene(meshes, told["materials"], pictures, told["unit_m"])
 
 
-def read_motion(payload: bytes, fault: Callable[[str, str, str], DrapeError], *, clip: str | None = None) -> FbxMotion:
+def read_animation(
+    payload: bytes, fault: Callable[[str, str, str], DrapeError], *, clip: str | None = None
+) -> FbxMotion:
     """The animation called ``clip`` in an FBX file, or its longest. Raises as ``read_scene`` does, and where there is
     none."""
     arrays = _read(payload, fault, "motion", *([] if clip is None else [clip]))

@@ -43,9 +43,11 @@ def _is_fbx(payload: bytes) -> bool:
 
 # OBJ has no mark of its own, so it comes first and is taken where no other fits.
 MESH_FORMATS: tuple[MeshFormat, ...] = (
-    MeshFormat("obj", ("model/obj",), "obj.read_obj", lambda payload: False, True),
-    MeshFormat("glb", ("model/gltf-binary",), "glb.read_glb", lambda payload: payload[:4] == b"glTF"),
-    MeshFormat("gltf", ("model/gltf+json",), "glb.read_glb", lambda payload: payload[:64].lstrip()[:1] == b"{", True),
+    MeshFormat("obj", ("model/obj",), "obj_mesh.read_obj", lambda payload: False, True),
+    MeshFormat("glb", ("model/gltf-binary",), "gltf_mesh.read_glb", lambda payload: payload[:4] == b"glTF"),
+    MeshFormat(
+        "gltf", ("model/gltf+json",), "gltf_mesh.read_glb", lambda payload: payload[:64].lstrip()[:1] == b"{", True
+    ),
     MeshFormat(
         "ply",
         ("model/ply", "application/x-ply"),
@@ -58,7 +60,7 @@ MESH_FORMATS: tuple[MeshFormat, ...] = (
     MeshFormat("usda", ("model/vnd.usda",), "usd.read_usd", lambda payload: payload[:5] == b"#usda", True),
     MeshFormat("usdc", ("model/vnd.usdc",), "usd.read_usd", lambda payload: payload[:8] == b"PXR-USDC", True),
     MeshFormat("usdz", ("model/vnd.usdz+zip",), "usd.read_usd", _is_usdz, True),
-    MeshFormat("fbx", ("model/fbx", "application/x-fbx"), "fbx.read_fbx", _is_fbx, True),
+    MeshFormat("fbx", ("model/fbx", "application/x-fbx"), "fbx_mesh.read_fbx", _is_fbx, True),
     MeshFormat(
         "zip",
         ("application/zip", "application/x-zip-compressed"),

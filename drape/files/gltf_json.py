@@ -68,7 +68,7 @@ class Mesh(Part):
     primitives: Annotated[list[Primitive], FIRST_ONLY]
 
 
-class Skin(Part):
+class GltfSkin(Part):
     """A skin: the nodes of its joints, and the accessor of their inverse bind matrices."""
 
     joints: Indices
@@ -143,7 +143,7 @@ class Document(Part):
     scenes: Annotated[list[Scene], FIRST_ONLY] = []
     nodes: Annotated[list[Node], Field(max_length=MOST_NODES), FIRST_ONLY] = []
     meshes: Annotated[list[Mesh], FIRST_ONLY] = []
-    skins: Annotated[list[Skin], FIRST_ONLY] = []
+    skins: Annotated[list[GltfSkin], FIRST_ONLY] = []
     animations: Objects = []
     materials: Objects = []
     images: Objects = []

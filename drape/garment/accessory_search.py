@@ -26,7 +26,7 @@ from drape.garment.seats import Seat, are_glasses, is_as_large
 from drape.garment.sheets import pieces_of
 from drape.garment.told_reading import NOTHING_TOLD, ToldReading
 from drape.garment.wearer_fields import SHAPES, cloth_points, known_parameters, thin_body
-from drape.garment.wearer_reading import USUAL_FRONTS, Reading, Wearer, readings_of
+from drape.garment.wearer_reading import USUAL_FRONTS, Reading, WearerCandidate, readings_of
 from drape.geometry import meshes
 
 COUNT = 400  # points on a thing
@@ -52,7 +52,7 @@ SURE, SURE_ANYWHERE = 0.8, 0.4
 
 class _Spot(NamedTuple):
     """A thing at a place of a known body: the ``move`` [m] (3,) of what the ``reading`` has, and how ``far`` [m] it is
-    from the skin there; ``origin`` as a ``Wearer`` has it."""
+    from the skin there; ``origin`` as a ``WearerCandidate`` has it."""
 
     far: float
     reading: Reading
@@ -71,7 +71,7 @@ class _Place(NamedTuple):
     number: int
 
 
-def accessory_wearer(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING_TOLD) -> Wearer | None:
+def accessory_wearer(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING_TOLD) -> WearerCandidate | None:
     """A body that wears the checked ``mesh`` on its head or its feet, None where ``mesh`` may be cloth."""
     points, face = cloth_points(mesh.vertices, mesh.faces, COUNT)
     areas = meshes.face_areas(mesh.vertices, mesh.faces)
@@ -83,7 +83,7 @@ def accessory_wearer(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOT
         parameters = known_parameters(body, one.shape, 0.0, 0.0)
         parameters[-3:] -= one.move
         sure = SURE if one.origin else SURE_ANYWHERE
-        worn = Wearer(
+        worn = WearerCandidate(
             one.reading, body, parameters, one.far, 0.0, 0.0, one.far, sleeved=False, origin=one.origin, sure=sure
         )
         worn, bones = _seated(mesh, worn, one.bones)
@@ -92,7 +92,7 @@ def accessory_wearer(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOT
     return None
 
 
-def seated(mesh: GarmentMesh, wearer: Wearer) -> Wearer:
+def seated(mesh: GarmentMesh, wearer: WearerCandidate) -> WearerCandidate:
     """Returns ``wearer`` moved so that the ``mesh`` is on its seat, if a bone carries it; otherwise ``wearer`` as it
     is."""
     extent = float(np.ptp(mesh.vertices[mesh.faces], axis=(0, 1)).max()) * wearer.reading.scale
@@ -103,7 +103,9 @@ def seated(mesh: GarmentMesh, wearer: Wearer) -> Wearer:
     return _seated(mesh, wearer, bones)[0] if bones else wearer
 
 
-def _seated(mesh: GarmentMesh, wearer: Wearer, bones: tuple[str, ...]) -> tuple[Wearer, tuple[str, ...]]:
+def _seated(
+    mesh: GarmentMesh, wearer: WearerCandidate, bones: tuple[str, ...]
+) -> tuple[WearerCandidate, tuple[str, ...]]:
     """``wearer`` moved so that the ``mesh`` sits on ``bones``, and the bones that carry it there, none of cloth."""
     placed = replace(mesh, vertices=wearer.reading.apply(mesh.vertices))
     skin, parameters = posed_by(wearer.body, wearer.parameters), wearer.parameters.copy()

@@ -133,9 +133,9 @@ def phenotype_avatar(phenotype: dict[str, Any], body: BodyModel) -> Avatar:
         return Avatar(vertices, body.faces, 0.0, source)
     # Another standard body (SMPL): only the surface can be compared.
     from drape.body.assets import load_body
-    from drape.garment.registration import register
+    from drape.garment.registration import register_body
 
-    fitted, residual = register(vertices, load_body().faces, body)
+    fitted, residual = register_body(vertices, load_body().faces, body)
     return Avatar(fitted, body.faces, residual, source)
 
 
@@ -172,7 +172,7 @@ def _numbers(name: str, value: Any, count: int | None) -> np.ndarray:
 def mesh_avatar(path: Path, body: BodyModel) -> Avatar:
     """The avatar in a mesh file: vertex by vertex for MakeHuman's base mesh, else fitted to its surface."""
     from drape.garment.files.mesh import AVATAR_VERTEX_LIMIT, read_mesh
-    from drape.garment.registration import body_units, register
+    from drape.garment.registration import body_units, register_body
 
     mesh = read_mesh(path, vertex_limit=AVATAR_VERTEX_LIMIT)
     scale, vertices = body_units(mesh.vertices, name=path.name)
@@ -183,7 +183,7 @@ def mesh_avatar(path: Path, body: BodyModel) -> Avatar:
         picked = vertices if len(vertices) == body.vertex_count else vertices[space.base_vertices]
         if _same_topology(picked, space):
             return Avatar(picked, body.faces, 0.0, f"mesh {path.name}, MakeHuman's vertices{unit}")
-    fitted, residual = register(vertices, mesh.faces, body, name=path.name)
+    fitted, residual = register_body(vertices, mesh.faces, body, name=path.name)
     return Avatar(fitted, body.faces, residual, f"mesh {path.name}, fitted{unit}")
 
 

@@ -83,7 +83,7 @@ class Atlas:
         """Rest positions [m] of every vertex in each of its patch frames (N, 4, 3): jet plus residual."""
         jet = self.patch_jet[self.chart_patch].astype(np.float64)
         scale = self.patch_scale[self.chart_patch].astype(np.float64)[..., None]
-        return scale * jets.evaluate(jet, self.chart_uv.astype(np.float64)) + self.chart_residual
+        return scale * jets.evaluate_jet(jet, self.chart_uv.astype(np.float64)) + self.chart_residual
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +299,7 @@ def _residual(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     patch = arrays["chart_patch"]
     rotation, jet = (arrays[name][patch].astype(np.float64) for name in ("patch_rotation", "patch_jet"))
     from_centre = arrays["vertices"].astype(np.float64)[:, None] - arrays["patch_centre"][patch]
-    on_jet = jets.evaluate(jet, arrays["chart_uv"].astype(np.float64))
+    on_jet = jets.evaluate_jet(jet, arrays["chart_uv"].astype(np.float64))
     return np.einsum("vkba,vkb->vka", rotation, from_centre) - arrays["patch_scale"][patch][..., None] * on_jet
 
 

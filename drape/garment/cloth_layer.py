@@ -50,7 +50,7 @@ THINNED_M = 0.012  # edges of thinned cloth
 SIMPLIFIED = (5 * VERTEX_LIMIT, 19 * VERTEX_LIMIT // 10)  # faces that quadrics leave, where edges stay
 
 
-def joined(mesh: GarmentMesh) -> GarmentMesh:
+def join_sheets(mesh: GarmentMesh) -> GarmentMesh:
     """Returns ``mesh`` as sheets of cloth: copies of a vertex become one, and no edge has more than two faces.
 
     Faces without area, faces drawn twice, and discs that close the end of a tube are left out. If that changes the
@@ -66,8 +66,8 @@ def joined(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def cloth_layer(sheets: GarmentMesh, skin: np.ndarray, outer: np.ndarray | None = None) -> GarmentMesh:
-    """Returns the cloth of ``sheets`` [m] (``joined``), which lie round a body with the points ``skin`` [m] (S, 3);
-    ``sheets`` themselves, if all of them is cloth.
+    """Returns the cloth of ``sheets`` [m] (``join_sheets``), which lie round a body with the points ``skin`` [m]
+    (S, 3); ``sheets`` themselves, if all of them is cloth.
 
     ``outer`` (F,) bool: their ``outer_sides``, if these are known.
     """

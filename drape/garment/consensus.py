@@ -57,7 +57,7 @@ def strain_places(patch_jet: np.ndarray, patch_scale: np.ndarray) -> np.ndarray:
     """The strain points [m] (K, 7, 3) of patches with rest jets ``patch_jet`` (K, 27), in the patch frames."""
     points = np.broadcast_to(strain_points(), (len(patch_scale), STRAIN_POINTS, 2))
     scale = patch_scale.astype(np.float64)[:, None, None]
-    return scale * jets.evaluate(patch_jet.astype(np.float64)[:, None], points)
+    return scale * jets.evaluate_jet(patch_jet.astype(np.float64)[:, None], points)
 
 
 def consensus(
@@ -83,7 +83,7 @@ def consensus(
         rest[k] = made @ local[rows, slots]
     points = np.broadcast_to(strain_points(), (count, STRAIN_POINTS, 2))
     jet = patch_jet.astype(np.float64)[:, None]
-    by_u, by_v = jets.evaluate(jet, points, u_times=1), jets.evaluate(jet, points, v_times=1)
+    by_u, by_v = jets.evaluate_jet(jet, points, u_times=1), jets.evaluate_jet(jet, points, v_times=1)
     tangent = np.stack([by_u, by_v], axis=-1)
     lower = np.linalg.cholesky(tangent.swapaxes(-1, -2) @ tangent)
     return Consensus(anchor, member, slot, fit, rest, tangent, np.linalg.inv(lower).swapaxes(-1, -2))

@@ -43,7 +43,7 @@ class Contour:
     centre: np.ndarray
 
 
-class Place(NamedTuple):
+class ContourPlace(NamedTuple):
     """The place of a contour: the body's ``part``, ``along_m`` [m] from its root, unit ``direction`` (3,) outward.
 
     The trunk begins at the pelvis, up is positive; a limb begins at its first joint. ``part`` is None if no bone passes
@@ -63,7 +63,7 @@ class Match(NamedTuple):
 
     source: int
     target: int
-    place: Place
+    place: ContourPlace
     length_ratio: float
     move_m: float
 
@@ -145,7 +145,7 @@ def part_round(contour: Contour, chains: dict[str, tuple[np.ndarray, float]]) ->
     return next((name for name, (chain, _) in chains.items() if encircles(contour, chain)), None)
 
 
-def place_of(contour: Contour, chains: dict[str, tuple[np.ndarray, float]]) -> Place:
+def place_of(contour: Contour, chains: dict[str, tuple[np.ndarray, float]]) -> ContourPlace:
     """The place of ``contour`` along the body, on the part that it goes round.
 
     Where no bone passes through, as through a cuff that lies folded, the nearest one counts if it is nearer to the
@@ -156,9 +156,9 @@ def place_of(contour: Contour, chains: dict[str, tuple[np.ndarray, float]]) -> P
     if part is None:
         part = min(nearest, key=lambda name: nearest[name][0])
         if nearest[part][0] > contour.length_m / (2.0 * np.pi):
-            return Place(None, 0.0, np.zeros(3))
+            return ContourPlace(None, 0.0, np.zeros(3))
     _, along, direction = nearest[part]
-    return Place(part, along - chains[part][1], direction)
+    return ContourPlace(part, along - chains[part][1], direction)
 
 
 def _nearest(point: np.ndarray, chain: np.ndarray) -> tuple[float, float, np.ndarray]:

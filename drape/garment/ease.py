@@ -36,8 +36,8 @@ class Ease(NamedTuple):
 def eases(
     faces: np.ndarray, rest: RestState, vertices: np.ndarray, body: BodyModel, betas: np.ndarray | None = None
 ) -> dict[str, Ease]:
-    """The ease by the names of ``Levels`` of a garment, ``faces`` (F, 3) of the cloth ``rest``, that is draped at
-    ``vertices`` [m] (V, 3) on ``body`` in its rest pose and the shape ``betas``; only levels that it goes around."""
+    """The ease by the names of ``SectionHeights`` of a garment, ``faces`` (F, 3) of the cloth ``rest``, that is draped
+    at ``vertices`` [m] (V, 3) on ``body`` in its rest pose and the shape ``betas``; only levels that it goes around."""
     place, skin, joints = landmarks(body), body.rest_vertices(betas), body.rest_joints(betas)
     by_name = {}
     for name, level in place.levels(skin)._asdict().items():

@@ -13,7 +13,7 @@ import scipy.sparse
 from drape.body.model import BodyModel
 from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.forked import each
-from drape.garment import charts, features, skin
+from drape.garment import charts, patch_features, skin
 from drape.garment.cache import Atlas, Garment
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.mantle_shapes import ways_to
@@ -114,7 +114,7 @@ def patch_fields(
         flat = without_folds(blend, local, scale, rest.faces, like)
         blend, uv = flat.blend, flat.uv
         jet = fit_planes(fit_jets(uv, height, blend, count), flat, local, scale)
-    residual = local - scale[blend.patch][..., None] * jets.evaluate(jet[blend.patch], uv)
+    residual = local - scale[blend.patch][..., None] * jets.evaluate_jet(jet[blend.patch], uv)
     pairs = np.sort(label[meshes.unique_edges(rest.faces)], axis=1)
     return {
         "patch_rotation": rotation.astype(np.float32),
@@ -123,7 +123,7 @@ def patch_fields(
         "patch_jet": jet.astype(np.float32),
         "patch_weights": weights.astype(np.float32),
         "patch_shapedirs": shapedirs.astype(np.float32),
-        "patch_features": features.patch_features(
+        "patch_features": patch_features.patch_features(
             centre=centre, rotation=rotation, scale=scale, jet=projected, weights=weights, seeds=seeds,
             vertices=rest.vertices, faces=rest.faces, graph=rest.graph, body=rest.body,
         ),
@@ -185,7 +185,7 @@ def fit_error(rest: RestGarment, fields: dict[str, np.ndarray]) -> dict[str, flo
     uv, weight = fields["chart_uv"].astype(np.float64), fields["chart_weight"].astype(np.float64)
     jet, scale = fields["patch_jet"].astype(np.float64), fields["patch_scale"].astype(np.float64)
     rotation = fields["patch_rotation"].astype(np.float64)
-    local = scale[patch][..., None] * jets.evaluate(jet[patch], uv)
+    local = scale[patch][..., None] * jets.evaluate_jet(jet[patch], uv)
     placed = np.einsum("vkab,vkb->vka", rotation[patch], local) + fields["patch_centre"][patch]
     point_error = np.linalg.norm(np.einsum("vk,vka->va", weight, placed) - rest.vertices, axis=1)
     tilted = np.einsum("vkab,vkb->vka", rotation[patch], jets.normal(jet[patch], uv))

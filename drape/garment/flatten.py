@@ -31,12 +31,6 @@ RING_SHARE = 0.3  # a second rim this long, of the first, means that the piece r
 CUT_FLOOR = 0.02  # weight that a cut costs where the chart has none, so that cuts stay short
 
 
-def signed_areas(uv: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Twice the signed area (T,) of ``triangles`` (T, 3) in the plane ``uv`` (..., 2)."""
-    a, b, c = (uv[triangles[:, k]] for k in range(3))
-    return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-
-
 def rims_cross(uv: np.ndarray, triangles: np.ndarray) -> bool:
     """Whether two open edges of ``triangles`` (T, 3) cross in the plane ``uv`` (n, 2).
 
@@ -125,7 +119,7 @@ def _flatten(
     for ways in (TIGHT, LOOSE):
         for pull, steps in ways if best is None else ():
             for placed in _relaxed(surface, mesh, start, target[:real], pull, steps):
-                if not np.isfinite(placed).all() or (signed_areas(placed, inner) <= 0.0).any():
+                if not np.isfinite(placed).all() or (meshes.signed_areas(placed, inner) <= 0.0).any():
                     break
                 misfit = _misfit(placed, surface[:real], weight[used[:real]])
                 if misfit < least and not _crosses(placed, rim):
@@ -144,7 +138,7 @@ def lay_alike(
     None if the cloth folds over there, as in caches of before charts were laid flat, or if jets fit it clearly worse.
     """
     found = _settled(placed, points[:, :2], points, triangles)
-    folds = (signed_areas(found, triangles) <= 0.0).any() or (found is placed and rims_cross(placed, triangles))
+    folds = (meshes.signed_areas(found, triangles) <= 0.0).any() or (found is placed and rims_cross(placed, triangles))
     return None if folds or _misfit(found, points, weight) > WORSE * _misfit(placed, before, weight) else found
 
 
@@ -160,7 +154,7 @@ def _returned(placed: np.ndarray, target: np.ndarray, surface: np.ndarray, trian
 
     The network has learnt its motions over projections, so a place that need not differ from one should not.
     """
-    least = RETURN_AREA * signed_areas(placed, triangles)
+    least = RETURN_AREA * meshes.signed_areas(placed, triangles)
     edges = meshes.unique_edges(triangles)
     first, second = np.concatenate([edges, edges[:, ::-1]]).T
     slope = RETURN_SLOPE * np.linalg.norm(surface[first] - surface[second], axis=1)
@@ -168,7 +162,7 @@ def _returned(placed: np.ndarray, target: np.ndarray, surface: np.ndarray, trian
     for _ in range(RETURN_ROUNDS):
         moved = placed + share[:, None] * (target - placed)
         moved = moved.astype(np.float32).astype(np.float64)  # as caches store them
-        bad = signed_areas(moved, triangles) <= least
+        bad = meshes.signed_areas(moved, triangles) <= least
         if not bad.any():
             return moved
         corners = np.unique(triangles[bad])
@@ -241,7 +235,7 @@ def _tutte(surface: np.ndarray, target: np.ndarray, mesh: np.ndarray, ring: np.n
     inner[ring] = False
     if inner.any():
         places[inner] = _means(meshes.unique_edges(mesh), inner, places)
-    if not np.isfinite(places).all() or (signed_areas(places, mesh) <= 0.0).any():
+    if not np.isfinite(places).all() or (meshes.signed_areas(places, mesh) <= 0.0).any():
         return None
     centre = places.mean(axis=0)
     u, _, vt = np.linalg.svd((places - centre).T @ (target - target.mean(axis=0)))

@@ -19,7 +19,7 @@ from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.garment.borders import borders, plainly_opening
 from drape.garment.contours import LIMBS, TRUNK, Contour, bone_chains, open_contours
 from drape.garment.files.mesh import GarmentMesh
-from drape.garment.registration import FREE_JOINTS, parameter_jacobian, posed_by, posed_normals, unpack
+from drape.garment.registration import FREE_JOINTS, parameter_jacobian, posed_by, posed_normals, unpack_parameters
 
 BAND_M = 0.15  # from the top of a garment: there it hangs on the body; all of ours lie 7 to 10 mm from the skin
 BAND_PULL = 4.0  # of cloth outside in that band, against other cloth outside
@@ -148,7 +148,7 @@ def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray) -> 
     Arms and feet may be elsewhere than at the start; thighs are not, so what lies beside one is a pocket.
     Each limb has one at most, the first of ``contours``.
     """
-    betas, pose, trans = unpack(body, parameters)
+    betas, pose, trans = unpack_parameters(body, parameters)
     joints = body.posed_joints(pose[None], betas)[0] + trans
     number = {name: joint for joint, name in enumerate(JOINT_NAMES)}
     trunk = bone_chains(joints)[TRUNK][0]

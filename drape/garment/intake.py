@@ -33,7 +33,7 @@ from drape.garment import avatars
 from drape.garment.accessories import bones_that_carry
 from drape.garment.cache import FORMAT_VERSION, OWN_GARMENTS_DIR, Garment, load_garment, save_garment
 from drape.garment.clearance import CLEARANCE_M
-from drape.garment.cloth_layer import joined
+from drape.garment.cloth_layer import join_sheets
 from drape.garment.files.mesh import GarmentMesh, read_mesh
 from drape.garment.fitting import fit_garment
 from drape.garment.grain import corner_uv
@@ -201,7 +201,7 @@ def _made(file: _File, body: BodyModel, say: Report, begins: Report, *, whole: b
     say(f"read      {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, {with_uv}")
     check_arrays(mesh)
     mesh = mesh if sewn is not None else without_strays(mesh)
-    sheets, model, wearer = modelled_on(mesh if sewn is not None else joined(mesh), body, options, file.meaning)
+    sheets, model, wearer = modelled_on(mesh if sewn is not None else join_sheets(mesh), body, options, file.meaning)
     unnamed = "" if file.meaning is not None else " (none was named)"
     carriers = () if sewn is not None else bones_that_carry(with_used_vertices(sheets), model.vertices, body)
     alone, outer = sewn is not None or bool(carriers), None

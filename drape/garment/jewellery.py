@@ -22,7 +22,7 @@ from drape.garment.registration import posed_by
 from drape.garment.sheets import pieces_of
 from drape.garment.told_reading import NOTHING_TOLD, ToldReading
 from drape.garment.wearer_fields import BENT_RAD, SHAPES, cloth_points, known_parameters
-from drape.garment.wearer_reading import USUAL_FRONTS, Reading, Wearer, readings_of
+from drape.garment.wearer_reading import USUAL_FRONTS, Reading, WearerCandidate, readings_of
 from drape.geometry import mesh_graphs, meshes
 
 COUNT = 400  # points on a thing
@@ -112,7 +112,7 @@ class _Try(NamedTuple):
     arms_rad: tuple[float, float]
 
 
-def jewellery_wearer(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING_TOLD) -> Wearer | None:
+def jewellery_wearer(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING_TOLD) -> WearerCandidate | None:
     """A known body that has all of the checked ``mesh`` on its skin, None where ``mesh`` may be cloth."""
     (solid, sheet), points = _areas(mesh), cloth_points(mesh.vertices, mesh.faces, COUNT)[0]
     if sheet > solid:
@@ -132,7 +132,7 @@ def jewellery_wearer(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOT
     return next((one for one in likely if one is not None), None)
 
 
-def _worn(mesh: GarmentMesh, body: BodyModel, best: _Try) -> Wearer | None:
+def _worn(mesh: GarmentMesh, body: BodyModel, best: _Try) -> WearerCandidate | None:
     """The body of a try, where bones carry ``mesh`` on it that have seats for no such things, as a head has."""
     parameters = known_parameters(body, best.shape, *best.arms_rad)
     parameters[-2] -= _floor(body, best.shape) if best.origin == "floor" else 0.0
@@ -143,7 +143,7 @@ def _worn(mesh: GarmentMesh, body: BodyModel, best: _Try) -> Wearer | None:
     if not bones or bones == ("head",) or (extent < EXTENT_M[0] and not hands):
         return None
     shown = any(bone.endswith(("elbow", "wrist")) for bone in bones)
-    return Wearer(
+    return WearerCandidate(
         best.reading, body, parameters, best.far, 0.0, 0.0, best.far, sleeved=shown, origin=best.origin, sure=SURE
     )
 

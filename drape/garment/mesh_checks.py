@@ -70,7 +70,7 @@ def check_mesh(
     Vertices keep their order and number. A mesh that is ``placed`` is checked and on its avatar in metres already; what
     is ``carried`` by a bone may be smaller than cloth.
     """
-    mesh = mesh if placed else place(check_surface(mesh), avatar, unit=unit, up=up, named=named)
+    mesh = mesh if placed else place_on_avatar(check_surface(mesh), avatar, unit=unit, up=up, named=named)
     mesh = orient_outward(mesh, avatar)
     if not carried:
         check_area(mesh, "garment area")
@@ -153,7 +153,7 @@ def check_edges(mesh: GarmentMesh) -> None:
         )
 
 
-def place(
+def place_on_avatar(
     mesh: GarmentMesh, avatar: Avatar, *, unit: Unit = "auto", up: Up = "auto", named: bool = True
 ) -> GarmentMesh:
     """``mesh`` in metres, y up, in the avatar's coordinates: the reading of unit, axis and floor that fits best.

@@ -12,16 +12,16 @@ from drape.garment.avatars import Avatar, read_avatar, standard_avatar
 from drape.garment.caps import without_pits
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import IntakeOptions
-from drape.garment.mesh_checks import check_options, check_surface, place
+from drape.garment.mesh_checks import check_options, check_surface, place_on_avatar
 from drape.garment.sheets import with_used_vertices
 from drape.garment.told_reading import NOTHING_TOLD, ToldReading, told_reading
 from drape.garment.unnamed_avatar import on_standard, worn_by
-from drape.garment.wearer_reading import Wearer
+from drape.garment.wearer_reading import WearerCandidate
 
 
 def modelled_on(
     mesh: GarmentMesh, body: BodyModel, options: IntakeOptions, meaning: Any = None
-) -> tuple[GarmentMesh, Avatar, Wearer | None]:
+) -> tuple[GarmentMesh, Avatar, WearerCandidate | None]:
     """``mesh``, checked, in metres on its avatar, that avatar, and its wearer where it was looked for.
 
     ``meaning`` as ``avatars.parse_avatar`` returns it, with what it tells of the file (``told_reading``). Raises
@@ -38,7 +38,7 @@ def modelled_on(
         worn = worn_by(checked, body, options, given)
     placed, avatar, wearer = worn
     keep = without_pits(placed.vertices, placed.faces, body.regressor @ avatar.vertices)
-    if not keep.all():  # what is delivered stays in its places, as ``cloth_layer.joined`` has it
+    if not keep.all():  # what is delivered stays in its places, as ``join_sheets`` has it
         cut, count = with_used_vertices(placed.take_faces(keep)), len(placed.vertices)
         placed = replace(cut, vertices=np.concatenate([placed.vertices, cut.vertices]), faces=cut.faces + count)
         placed = placed.noted(f"{int((~keep).sum())} faces close ends of tubes in pits")
@@ -58,4 +58,4 @@ def _on_named(
         mesh, unit = replace(mesh, vertices=told.unit[1] * mesh.vertices), "m"
     if told.turned is not None:
         mesh, up = replace(mesh, vertices=told.turned.apply(mesh.vertices)), "y"
-    return place(mesh, avatar, unit=unit, up=up), avatar, None
+    return place_on_avatar(mesh, avatar, unit=unit, up=up), avatar, None

@@ -59,7 +59,7 @@ def garments_in(sheets: GarmentMesh, skin: np.ndarray, body: BodyModel) -> np.nd
 
 
 def parted(mesh: GarmentMesh, sheets: GarmentMesh, label: np.ndarray) -> list[tuple[GarmentMesh, GarmentMesh]]:
-    """Returns for each garment its part of the delivered ``mesh``, and its part of ``sheets`` (``cloth_layer.joined``,
+    """Returns for each garment its part of the delivered ``mesh``, and its part of ``sheets`` (``join_sheets``,
     which may lie elsewhere). ``label`` (F,) is what ``garments_in`` returned for the sheets."""
     if label.max(initial=0) == 0:
         return [(mesh, sheets)]

@@ -30,7 +30,7 @@ def with_sewn_panels(sheets: GarmentMesh, skin: np.ndarray) -> tuple[GarmentMesh
     """Returns ``sheets`` [m] with the panels of a pattern sewn to each other, and the ``outer_sides`` (F,) of the faces
     that they had.
 
-    ``sheets`` (``cloth_layer.joined``) lie round a body with the points ``skin`` [m] (S, 3). Inner sides of walls are
+    ``sheets`` (``join_sheets``) lie round a body with the points ``skin`` [m] (S, 3). Inner sides of walls are
     left out. ``sheets`` themselves are returned if no two pieces have a seam. Vertices keep their places and their
     order; those that become one follow them.
     """

@@ -59,7 +59,7 @@ def body_units(vertices: np.ndarray, *, name: str = "avatar") -> tuple[float, np
     return fitting[0], vertices * fitting[0]
 
 
-class BodyFit(NamedTuple):
+class BodyRegistration(NamedTuple):
     """Shape ``betas`` (S,), ``pose`` (24, 3) [rad], ``trans`` (3,) [m] of the standard body, and the residual [mm]."""
 
     betas: np.ndarray
@@ -68,7 +68,7 @@ class BodyFit(NamedTuple):
     residual_mm: float
 
 
-def register(
+def register_body(
     vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, name: str = "avatar"
 ) -> tuple[np.ndarray, float]:
     """The standard body's vertices [m] (V, 3) laid on a surface, and the residual [mm]: mean distance after the fit.
@@ -80,8 +80,8 @@ def register(
     return _snap(fitted, body, _Target(vertices, faces)), found.residual_mm
 
 
-def fit_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, name: str = "avatar") -> BodyFit:
-    """Shape, pose and place of the standard body that lie nearest to a surface; refuses as ``register`` does."""
+def fit_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, name: str = "avatar") -> BodyRegistration:
+    """Shape, pose and place of the standard body that lie nearest to a surface; refuses as ``register_body`` does."""
     used = np.unique(faces)
     if len(used) < 500:
         raise BodyError(
@@ -105,7 +105,7 @@ def fit_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, name: 
             got=f"{residual:.1f} mm",
             cure="Give the avatar as a whole body, upright, facing +z, in a T- or A-pose, or as a phenotype.",
         )
-    return BodyFit(*unpack(body, best), residual)
+    return BodyRegistration(*unpack_parameters(body, best), residual)
 
 
 class _Target:
@@ -178,7 +178,7 @@ def start_parameters(body: BodyModel, lift_rad: float, trans: np.ndarray) -> np.
     return np.concatenate([np.zeros(body.shape_count), pose[FREE_JOINTS].reshape(-1), trans])
 
 
-def unpack(body: BodyModel, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def unpack_parameters(body: BodyModel, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Shape (S,), pose (24, 3) [rad] and translation [m] (3,) in ``parameters``: shape, free joints, translation."""
     pose = np.zeros((JOINT_COUNT, 3))
     pose[FREE_JOINTS] = parameters[body.shape_count : -3].reshape(-1, 3)
@@ -187,7 +187,7 @@ def unpack(body: BodyModel, parameters: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def posed_by(body: BodyModel, parameters: np.ndarray) -> np.ndarray:
     """Vertices [m] (V, 3) of the body with ``parameters``."""
-    betas, pose, trans = unpack(body, parameters)
+    betas, pose, trans = unpack_parameters(body, parameters)
     return body.posed_vertices(pose[None], trans[None], betas)[0]
 
 
@@ -203,7 +203,7 @@ def parameter_jacobian(body: BodyModel, parameters: np.ndarray, index: np.ndarra
     on, p the joint. By shape it is exact in T-pose; elsewhere joints move as if no bone had turned, and fits, whose
     weights were chosen with that, end in worse bodies with the exact one.
     """
-    betas, pose, trans = unpack(body, parameters)
+    betas, pose, trans = unpack_parameters(body, parameters)
     rest, weights = body.rest_vertices(betas)[index], body.weights[index]
     (rotations,), (translations,) = body.bones(pose[None], trans[None], betas)
     carried = weights.T[..., None] * (rest @ rotations.transpose(0, 2, 1) + translations[:, None])

@@ -13,11 +13,11 @@ from drape.garment.avatars import Avatar
 from drape.garment.bound import BoundMesh
 from drape.garment.cache import Garment
 from drape.garment.clearance import CLEARANCE_M, Cleared, clear_body
-from drape.garment.cloth_layer import cloth_layer, hung, joined
+from drape.garment.cloth_layer import cloth_layer, hung, join_sheets
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions
-from drape.garment.mantles import spread
-from drape.garment.mesh_checks import check_mesh, check_surface, place
+from drape.garment.mantle_rest import spread
+from drape.garment.mesh_checks import check_mesh, check_surface, place_on_avatar
 from drape.garment.rest_detail import subdivided_like
 from drape.garment.rest_pose import MovedGarment, bone_motions, refine, to_standard
 from drape.garment.seats import Seat
@@ -75,12 +75,12 @@ def rest_mesh(
 ) -> RestMesh:
     """The cloth in the delivered ``mesh``, moved from ``avatar`` to ``body`` in T-pose and pushed clear of it.
 
-    ``sheets``: ``cloth_layer.joined`` of it, checked and on the avatar in metres; made here if left out. Of a mesh that
+    ``sheets``: ``join_sheets`` of it, checked and on the avatar in metres; made here if left out. Of a mesh that
     is ``sewn`` every face is cloth. The ``outer`` (F,) sides of the sheets, as ``outer_sides``, and their ``carriers``,
     as ``carriers_of``, are asked for if left out. Raises ``MeshError`` where the mesh cannot be draped.
     """
     if sheets is None:
-        sheets = place(check_surface(joined(mesh)), avatar, unit=options.unit, up=options.up)
+        sheets = place_on_avatar(check_surface(join_sheets(mesh)), avatar, unit=options.unit, up=options.up)
     if carriers is None:
         carriers = () if sewn else bones_that_carry(with_used_vertices(sheets), avatar.vertices, body)
     cloth = sheets if sewn else cloth_layer(sheets, avatar.vertices, outer)

@@ -41,7 +41,7 @@ class Seam:
 
 
 @dataclass(frozen=True)
-class Edge:
+class FreeEdge:
     """An edge of ``panel`` that is not sewn to another; ``kind``: "hem", "opening" or "free"."""
 
     name: str
@@ -67,7 +67,7 @@ class Sewing:
     hem_width_m: float
     panels: Sequence[str]
     seams: Sequence[Seam]
-    edges: Sequence[Edge]
+    edges: Sequence[FreeEdge]
     size: str = ""
     body: str = ""
     ease_m: Mapping[str, float] = field(default_factory=dict)
@@ -124,7 +124,7 @@ def sewing_beside(path: Path) -> Sewing | None:
 def read_sewing(record: Mapping[str, Any]) -> Sewing:
     """The sewing of a record as ``Sewing.to_json`` makes it; raises ``InputError`` where it is none."""
     try:
-        seams, edges = ([Seam(**one) for one in record["seams"]], [Edge(**one) for one in record["edges"]])
+        seams, edges = ([Seam(**one) for one in record["seams"]], [FreeEdge(**one) for one in record["edges"]])
         return Sewing(**{**record, "seams": seams, "edges": edges})
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(

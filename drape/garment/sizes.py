@@ -26,9 +26,9 @@ from drape.garment.cache import Garment
 from drape.garment.charts import ChartBlend
 from drape.garment.clearance import clear_body
 from drape.garment.ease import eases, girth_around
-from drape.garment.features import patch_features
 from drape.garment.fitting import fit_jets
 from drape.garment.partition import vertex_graph
+from drape.garment.patch_features import patch_features
 from drape.garment.size_chart import SIZES
 from drape.garment.unfold import Flattened, fit_planes
 from drape.geometry import jets, mesh_graphs, meshes
@@ -155,7 +155,7 @@ def moved_patches(garment: Garment, vertices: np.ndarray, body: BodyModel) -> di
     flat = (garment.patch_jet[:, plane] != projected[:, plane]).any(axis=1)  # a projection's are the identity
     uv = np.where(flat[patch][..., None], garment.chart_uv.astype(np.float64), uv)
     jet = fit_planes(fit_jets(uv, height, blend, len(scale)), Flattened(blend, uv, flat), local, scale)
-    residual = local - sizes * jets.evaluate(jet[patch], uv)
+    residual = local - sizes * jets.evaluate_jet(jet[patch], uv)
     faces = garment.fine_faces.astype(np.int64)
     features = patch_features(
         centre=centre, rotation=rotation, scale=scale, jet=projected, weights=garment.patch_weights,

@@ -16,8 +16,9 @@ from scipy.sparse.csgraph import dijkstra
 from drape.forked import each
 from drape.garment.cache import Atlas
 from drape.garment.charts import ChartBlend, ridge_fit, rows_of_patches
-from drape.garment.flatten import lay_alike, lay_flat, rims_cross, signed_areas
+from drape.garment.flatten import lay_alike, lay_flat, rims_cross
 from drape.geometry import jets, mesh_graphs
+from drape.geometry.meshes import signed_areas
 
 TRIM, TRIM_ROUNDS = 0.85, 12  # a chart that cannot be laid flat is made smaller by this factor, so often
 FADE = 0.35  # patch scales from a vertex that leaves a chart over which the chart's weight comes back

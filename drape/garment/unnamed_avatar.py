@@ -12,11 +12,11 @@ from drape.garment.contours import pierced_parts
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import IntakeOptions
 from drape.garment.jewellery import check_cloth, jewellery_wearer
-from drape.garment.mesh_checks import UNITS_M, place
+from drape.garment.mesh_checks import UNITS_M, place_on_avatar
 from drape.garment.registration import posed_by
 from drape.garment.told_reading import NOTHING_TOLD, ToldReading
 from drape.garment.wearer_fields import bones_of, cloth_points, enclosed
-from drape.garment.wearer_reading import Wearer
+from drape.garment.wearer_reading import WearerCandidate
 from drape.garment.wearer_search import the_wearer
 from drape.geometry.closest import signed_distance
 
@@ -31,7 +31,7 @@ def on_standard(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> G
     cloth; otherwise None."""
     avatar = standard_avatar(body)
     try:
-        placed = place(mesh, avatar, unit=options.unit, up=options.up, named=False)
+        placed = place_on_avatar(mesh, avatar, unit=options.unit, up=options.up, named=False)
     except MeshError:
         return None
     if pierced_parts(placed.vertices, placed.faces, body.joints_template):
@@ -45,7 +45,7 @@ def on_standard(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> G
 
 def worn_by(
     mesh: GarmentMesh, body: BodyModel, options: IntakeOptions, told: ToldReading = NOTHING_TOLD
-) -> tuple[GarmentMesh, Avatar, Wearer]:
+) -> tuple[GarmentMesh, Avatar, WearerCandidate]:
     """The checked ``mesh`` in metres, y up, facing +z, the avatar that was found in it, and what was found.
 
     Raises ``MeshError`` where no human body fits.

@@ -19,7 +19,7 @@ from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.forked import each
 from drape.garment.contours import bone_chains
-from drape.garment.registration import FREE_JOINTS, posed_by, start_parameters, unpack
+from drape.garment.registration import FREE_JOINTS, posed_by, start_parameters, unpack_parameters
 from drape.geometry import meshes
 
 CELL_M = 0.025
@@ -93,7 +93,7 @@ def thin_body(body: BodyModel) -> BodyModel:
 
 
 def known_parameters(body: BodyModel, shape: str, lift_rad: float, bent_rad: float) -> np.ndarray:
-    """Parameters (``registration.unpack``) of a known body, its pelvis at the standard body's."""
+    """Parameters (``unpack_parameters``) of a known body, its pelvis at the standard body's."""
     parameters = start_parameters(body, lift_rad, np.zeros(3))
     count = min(body.shape_count, len(SHAPES[shape]))
     parameters[:count] = SHAPES[shape][:count]
@@ -213,7 +213,7 @@ def unthreaded(loops: np.ndarray, joints: np.ndarray) -> int:
 
 def joints_of(body: BodyModel, parameters: np.ndarray) -> np.ndarray:
     """The joints [m] (24, 3) of ``body`` with ``parameters``."""
-    betas, pose, trans = unpack(body, parameters)
+    betas, pose, trans = unpack_parameters(body, parameters)
     return body.posed_joints(pose[None], betas)[0] + trans
 
 

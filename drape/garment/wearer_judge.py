@@ -7,10 +7,10 @@ from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
-from drape.garment.registration import posed_by, posed_normals, unpack
+from drape.garment.registration import posed_by, posed_normals, unpack_parameters
 from drape.garment.searched_cloth import SearchedCloth
 from drape.garment.wearer_fields import SHAPES, Bones, bones_of, enclosed, joints_of, point_cost
-from drape.garment.wearer_reading import Reading, Wearer
+from drape.garment.wearer_reading import Reading, WearerCandidate
 
 BAND_M, BAND_WEIGHT = 0.15, 2.0  # from the top: there a garment hangs on its body
 # Off the cost of walls of cloth that hang below it, away from the skin: those of skirts, and of capes over arms.
@@ -37,9 +37,11 @@ ENERGY_LIMIT, RARE_LIMIT, RARE = 0.7, 0.42, 0.03
 HELD_LIMIT = 0.25  # without what hangs away from the skin, up to which a train may be as long as it likes
 
 
-def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: np.ndarray, odd_arms: float) -> Wearer:
-    """Returns the ``Wearer`` that says how the cloth, read by ``reading``, lies on ``body`` with ``parameters``.
-    ``odd_arms`` is the cost of the arms that the fit started from."""
+def judge(
+    cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: np.ndarray, odd_arms: float
+) -> WearerCandidate:
+    """Returns the ``WearerCandidate`` that says how the cloth, read by ``reading``, lies on ``body`` with
+    ``parameters``. ``odd_arms`` is the cost of the arms that the fit started from."""
     points, skin = reading.apply(cloth.points), posed_by(body, parameters)
     distance = _distance(points, skin, body)
     band = points[:, 1] > points[:, 1].max() - BAND_M
@@ -69,7 +71,7 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
     far = energy > RARE_LIMIT if reading.oddness > RARE else energy > ENERGY_LIMIT and among > HELD_LIMIT
     fault = _place_fault(empty, wrong) or _inside_fault(inside, parts)
     fault = fault or _other_fault(far, distance, inside, pierced, open_share, top)
-    return Wearer(
+    return WearerCandidate(
         reading, body, parameters, energy, float(inside.mean()), open_share, top, sleeved, fault, odd_arms, origin,
         among=among,
     )  # fmt: skip
@@ -84,7 +86,7 @@ def _distance(points: np.ndarray, skin: np.ndarray, body: BodyModel) -> np.ndarr
 
 def _oddness(body: BodyModel, parameters: np.ndarray, skin: np.ndarray) -> tuple[float, str]:
     """The cost of a body that few are, and where in it the file's origin is."""
-    betas, pose, trans = unpack(body, parameters)
+    betas, pose, trans = unpack_parameters(body, parameters)
     odd = SHAPE_COST * min(float(((betas[:10] - shape) ** 2).sum()) for shape in map(np.array, SHAPES.values()))
     odd += TURNED_COST * float((pose[UPRIGHT].sum(axis=0) ** 2).sum())
     odd += HEIGHT_COST * ((np.ptp(body.rest_vertices(betas)[:, 1]) - HEIGHT_M) / HEIGHT_SPREAD_M) ** 2

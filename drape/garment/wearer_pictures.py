@@ -9,12 +9,12 @@ import numpy as np
 
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.portrait import Sitter, portrait
-from drape.garment.wearer_reading import Wearer
+from drape.garment.wearer_reading import WearerCandidate
 
 SIZE_PX = 224
 
 
-def pictured(wearer: Wearer, mesh: GarmentMesh) -> dict[str, Any]:
+def pictured(wearer: WearerCandidate, mesh: GarmentMesh) -> dict[str, Any]:
     """The entry of the manifest for ``wearer``, and in it and in each of ``others`` a ``picture``: ``mesh``, as its
     file has it, on that body, a PNG as base64."""
     told = wearer.to_json()
@@ -24,7 +24,7 @@ def pictured(wearer: Wearer, mesh: GarmentMesh) -> dict[str, Any]:
     return told
 
 
-def _picture(wearer: Wearer, mesh: GarmentMesh) -> str:
+def _picture(wearer: WearerCandidate, mesh: GarmentMesh) -> str:
     skin = wearer.body.posed_vertices(wearer.pose[None], wearer.trans[None], wearer.betas)[0]
     faces = wearer.body.faces.astype(np.int64)
     cloth = wearer.reading.apply(mesh.vertices)

@@ -14,7 +14,7 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.garment.mesh_checks import UNITS_M
-from drape.garment.registration import unpack
+from drape.garment.registration import unpack_parameters
 from drape.garment.wearer_fields import SHAPES
 
 ODD = {"inch": 0.02, "free": 0.12, "x up": 0.02, "downward": 0.1, "facing": 0.05}  # costs of readings that few write
@@ -55,10 +55,10 @@ def _axis(name: str) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Wearer:
+class WearerCandidate:
     """A body that may have worn a garment, in the frame of ``reading``.
 
-    ``parameters`` as ``registration.unpack`` takes them; ``energy`` ranks it (0: cloth on the skin all round).
+    ``parameters`` as ``unpack_parameters`` takes them; ``energy`` ranks it (0: cloth on the skin all round).
     ``inside`` is the share of the cloth deeper than 1 cm in the skin, ``open_share`` how much of the way round its
     bones is bare, ``band_m`` the median distance at the top; ``sleeved`` says whether the cloth shows the arms, and
     ``fault`` what does not fit. ``origin`` is where the file's is, at the body's "root" or "floor", or "". ``sure`` in
@@ -79,7 +79,7 @@ class Wearer:
     odd_arms: float = 0.0
     origin: str = ""
     sure: float = 1.0
-    others: tuple[Wearer, ...] = ()
+    others: tuple[WearerCandidate, ...] = ()
     among: float = 0.0
     slid_m: float = 0.0
 
@@ -90,15 +90,15 @@ class Wearer:
 
     @property
     def betas(self) -> np.ndarray:
-        return unpack(self.body, self.parameters)[0]
+        return unpack_parameters(self.body, self.parameters)[0]
 
     @property
     def pose(self) -> np.ndarray:
-        return unpack(self.body, self.parameters)[1]
+        return unpack_parameters(self.body, self.parameters)[1]
 
     @property
     def trans(self) -> np.ndarray:
-        return unpack(self.body, self.parameters)[2]
+        return unpack_parameters(self.body, self.parameters)[2]
 
     @cached_property
     def height_m(self) -> float:
@@ -136,7 +136,7 @@ class Wearer:
         others = [one._facts() | {"words": one.words + one.unlike(self)} for one in self.others]
         return self._facts() | {"others": others}
 
-    def unlike(self, other: Wearer) -> str:
+    def unlike(self, other: WearerCandidate) -> str:
         """Returns words for how it differs from ``other`` where ``words`` are alike, such as ", the cloth 9 cm lower";
         empty if in nothing."""
         if (self.reading.up, self.reading.front) != (other.reading.up, other.reading.front):

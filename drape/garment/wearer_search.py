@@ -41,7 +41,7 @@ from drape.garment.wearer_judge import (
     misplaced,
     one_sided,
 )
-from drape.garment.wearer_reading import USUAL_FRONTS, Reading, Wearer, readings_of
+from drape.garment.wearer_reading import USUAL_FRONTS, Reading, WearerCandidate, readings_of
 
 FREE_EXTENTS_M = 0.3 * 1.2 ** np.arange(10)  # tried where no unit fits
 FIT_COUNT = 500  # points on the cloth
@@ -71,7 +71,7 @@ RIVAL = 0.15  # a reading that is worse by this leaves no doubt
 NEARLY, APART_M, MOST_OTHERS = 0.05, 0.06, 2  # worse by less is nearly as likely; so far off it is another body
 
 
-def find_wearers(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING_TOLD) -> list[Wearer]:
+def find_wearers(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING_TOLD) -> list[WearerCandidate]:
     """The bodies that may have worn ``mesh``, best first, in every reading that what is ``told`` allows.
 
     Those of one reading stand ``APART_M`` apart. The first has its ``others``, which are nearly as likely.
@@ -99,11 +99,11 @@ def find_wearers(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING
     return [replace(found[0], others=_others(cloth, found)), *found[1:]] if found else []
 
 
-def _rank(one: Wearer) -> tuple[bool, float]:
+def _rank(one: WearerCandidate) -> tuple[bool, float]:
     return bool(one.fault), one.rank
 
 
-def _others(cloth: SearchedCloth, found: Sequence[Wearer]) -> tuple[Wearer, ...]:
+def _others(cloth: SearchedCloth, found: Sequence[WearerCandidate]) -> tuple[WearerCandidate, ...]:
     """Those of ``found``, best first, that are nearly as likely as the first, and distinctly other bodies."""
     kept, least = [found[0]], min(one.rank for one in found if one.reading == found[0].reading)
     for one in found[1:]:
@@ -115,7 +115,7 @@ def _others(cloth: SearchedCloth, found: Sequence[Wearer]) -> tuple[Wearer, ...]
     return tuple(kept[1:])
 
 
-def _apart_m(cloth: SearchedCloth, one: Wearer, other: Wearer) -> float:
+def _apart_m(cloth: SearchedCloth, one: WearerCandidate, other: WearerCandidate) -> float:
     """How far [m] the skin under the cloth is from where ``other`` has the same skin."""
     thin = thin_body(one.body)
     skin, there = (posed_by(thin, each.parameters) for each in (one, other))
@@ -124,7 +124,7 @@ def _apart_m(cloth: SearchedCloth, one: Wearer, other: Wearer) -> float:
     return float(np.linalg.norm(moved - skin[under], axis=1).mean())
 
 
-def the_wearer(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING_TOLD) -> Wearer:
+def the_wearer(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING_TOLD) -> WearerCandidate:
     """The likeliest body; raises ``MeshError`` where none fits and says which part does not."""
     found = find_wearers(mesh, body, told)
     if not found or found[0].fault:
@@ -243,7 +243,7 @@ def _without_pits(mesh: GarmentMesh, fields: Sequence[Field], guess: _Guess) -> 
     return without_pits(points, mesh.faces, fields[guess.number].bones.joints - guess.move)
 
 
-def _fitted(cloth: SearchedCloth, body: BodyModel, guesses: Sequence[_Guess]) -> list[Wearer]:
+def _fitted(cloth: SearchedCloth, body: BodyModel, guesses: Sequence[_Guess]) -> list[WearerCandidate]:
     """The best of the ``guesses``, fitted: one for each reading."""
     kept: list[_Guess] = []
     for one in guesses:
@@ -261,14 +261,14 @@ def _fitted(cloth: SearchedCloth, body: BodyModel, guesses: Sequence[_Guess]) ->
     starts += [_with_arms(cloth, thin, one) for one in tops.values()]
     first = _on(thin, each(lambda one: _fit(cloth, thin, contours[one.reading], one, FIRST_STEPS), starts))
     first.sort(key=lambda one: one.rank)
-    likely: list[Wearer] = []
+    likely: list[WearerCandidate] = []
     for one in first:
         rivals = [other for other in likely if other.reading == one.reading]
         if one.rank < CLEARLY + first[0].rank and len(rivals) < RIVALS and len(likely) < WINNERS:
             likely.append(one)
     chosen = _on(thin, each(lambda one: _refined(cloth, thin, contours[one.reading], one), likely))
     rest = [one for one in first if one not in likely]
-    apart: list[Wearer] = []
+    apart: list[WearerCandidate] = []
     for one in (*sorted(chosen, key=lambda one: one.among), *rest):
         if all(one.reading != other.reading or _apart_m(cloth, one, other) > APART_M for other in apart):
             alike = [other for other in chosen if other.reading == one.reading]
@@ -278,12 +278,12 @@ def _fitted(cloth: SearchedCloth, body: BodyModel, guesses: Sequence[_Guess]) ->
     return apart
 
 
-def _on(body: BodyModel, found: Sequence[Wearer]) -> list[Wearer]:
+def _on(body: BodyModel, found: Sequence[WearerCandidate]) -> list[WearerCandidate]:
     """``found`` on ``body`` itself, of which those from other processes have a copy."""
     return [replace(one, body=body) for one in found]
 
 
-def _refined(cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one: Wearer) -> Wearer:
+def _refined(cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one: WearerCandidate) -> WearerCandidate:
     """``one`` after more steps, the last of them without ``contours``.
 
     The middle of a sleeve's or an armhole's rim is below the bone: that leads arms into sleeves, and no farther.
@@ -293,12 +293,12 @@ def _refined(cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one
     return free if free.energy < led.energy + WORSE else led
 
 
-def _on_standard(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) -> Wearer | None:
+def _on_standard(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) -> WearerCandidate | None:
     """The standard body in T-pose at the file's origin or on its floor, where cloth goes round it and not into it."""
     thin = thin_body(body)
     starts = [(reading, rise) for reading in readings for rise in (0.0, -body.floor_m())]
 
-    def judged(start: tuple[Reading, float]) -> Wearer:
+    def judged(start: tuple[Reading, float]) -> WearerCandidate:
         return judge(cloth, start[0], thin, start_parameters(body, 0.0, np.array([0.0, start[1], 0.0])), 0.0)
 
     found = []
@@ -311,7 +311,7 @@ def _on_standard(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Readi
 
 
 class _Start(NamedTuple):
-    """Where a fit begins; a ``Wearer`` has the same."""
+    """Where a fit begins; a ``WearerCandidate`` has the same."""
 
     reading: Reading
     parameters: np.ndarray
@@ -349,8 +349,13 @@ def _armed(body: BodyModel, one: _Start, lift_rad: float, bend_rad: float) -> _S
 
 
 def _fit(
-    cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one: _Start | Wearer, steps: int, lock: float = 0.0
-) -> Wearer:
+    cloth: SearchedCloth,
+    body: BodyModel,
+    contours: list[Contour],
+    one: _Start | WearerCandidate,
+    steps: int,
+    lock: float = 0.0,
+) -> WearerCandidate:
     """The body fitted to a reading from where ``one`` is, and how well the garment lies on it."""
     reading, start, origin = one.reading, one.parameters, one.origin
     points, normals = reading.apply(cloth.points), cloth.normals @ reading.turn.T
@@ -381,7 +386,7 @@ def _fit(
     return judge(cloth, reading, body, parameters, one.odd_arms)
 
 
-def _held(cloth: SearchedCloth, one: Wearer) -> float:
+def _held(cloth: SearchedCloth, one: WearerCandidate) -> float:
     """Near 1 where cloth holds its body in its place: the same body higher or lower fits clearly worse."""
     thin, rises = thin_body(one.body), []
     for rise in (-HELD_M, 0.0, HELD_M):
@@ -391,7 +396,7 @@ def _held(cloth: SearchedCloth, one: Wearer) -> float:
     return float(np.clip(held, 0.3, 1.0) * np.clip(1.0 - one.slid_m / SLID_M, 0.3, 1.0))
 
 
-def _sureness(one: Wearer, found: Sequence[Wearer]) -> float:
+def _sureness(one: WearerCandidate, found: Sequence[WearerCandidate]) -> float:
     """Near 1 where every other reading fits clearly worse and the cloth lies near the skin."""
     rival = min((other.rank for other in found if other.reading != one.reading), default=np.inf)
     return float(np.clip((rival - one.rank) / RIVAL, 0.05, 1.0) * np.clip(1.2 - one.energy, 0.1, 1.0))

@@ -7,7 +7,7 @@ import numpy as np
 from drape.geometry import meshes
 
 
-def drawn(vertices: np.ndarray, faces: np.ndarray, count: int, seed: int | np.random.Generator) -> np.ndarray:
+def draw_points(vertices: np.ndarray, faces: np.ndarray, count: int, seed: int | np.random.Generator) -> np.ndarray:
     """Points [m] (``count``, 3) drawn evenly by area from the triangles; ``seed``, or a generator, decides which."""
     rng = np.random.default_rng(seed)
     areas = meshes.face_areas(vertices, faces)

@@ -81,7 +81,7 @@ def full(jet: Array) -> Array:
     return xp.concat([p, padding, q, padding, h], axis=-1)
 
 
-def evaluate(jet: Array, uv: Array, *, u_times: int = 0, v_times: int = 0) -> Array:
+def evaluate_jet(jet: Array, uv: Array, *, u_times: int = 0, v_times: int = 0) -> Array:
     """The vector jet (..., 27 or 45), or a derivative of it, at ``uv`` (..., 2): (..., 3), unscaled."""
     xp = namespace(jet)
     p, q, h = unpack(jet)
@@ -93,16 +93,16 @@ def evaluate(jet: Array, uv: Array, *, u_times: int = 0, v_times: int = 0) -> Ar
 def normal(jet: Array, uv: Array) -> Array:
     """Unit normals (..., 3) in the patch frame."""
     xp = namespace(jet)
-    direction = cross(evaluate(jet, uv, u_times=1), evaluate(jet, uv, v_times=1))
+    direction = cross(evaluate_jet(jet, uv, u_times=1), evaluate_jet(jet, uv, v_times=1))
     return direction / xp.sqrt(xp.sum(direction * direction, axis=-1, keepdims=True) + 1e-30)
 
 
 def curvature(jet: Array, uv: Array, scale: Array) -> tuple[Array, Array]:
     """Mean [1/m] and Gaussian [1/m^2] curvature (...,), positive mean where the patch bends towards its normal."""
     xp = namespace(jet)
-    du, dv = evaluate(jet, uv, u_times=1), evaluate(jet, uv, v_times=1)
+    du, dv = evaluate_jet(jet, uv, u_times=1), evaluate_jet(jet, uv, v_times=1)
     n = normal(jet, uv)
-    second = [xp.sum(n * evaluate(jet, uv, u_times=a, v_times=b), axis=-1) for a, b in ((2, 0), (1, 1), (0, 2))]
+    second = [xp.sum(n * evaluate_jet(jet, uv, u_times=a, v_times=b), axis=-1) for a, b in ((2, 0), (1, 1), (0, 2))]
     e, f, g = xp.sum(du * du, axis=-1), xp.sum(du * dv, axis=-1), xp.sum(dv * dv, axis=-1)
     determinant = e * g - f * f
     mean = (second[0] * g - 2.0 * second[1] * f + second[2] * e) / (2.0 * determinant * scale)

@@ -221,6 +221,12 @@ def vertex_normals(vertices: Array, faces: np.ndarray, *, table: np.ndarray | No
     return _unit(vertex_sums(area_vectors(vertices, faces), table))
 
 
+def signed_areas(uv: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Areas [m^2] (F,) of triangles in the plane ``uv`` [m] (..., 2); negative where one is turned over."""
+    a, b, c = (uv[faces[:, k]] for k in range(3))
+    return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+
+
 def vertex_areas(vertices: Array, faces: np.ndarray) -> Array:
     """Areas [m^2] (..., V): a third of every face around the vertex."""
     areas = face_areas(vertices, faces)[..., None] / 3.0

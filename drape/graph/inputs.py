@@ -1,7 +1,7 @@
 """Inputs of the readable drape graph, each declared once: posed bodies, patches, charts and how charts agree.
 
 Training, export and tests hold these groups; ``drape.graph.feeds`` makes their arrays by name. Inputs of the packed
-graph stand in ``drape.graph.packed``, those of the push-out in ``drape.graph.push_feed`` and ``layer_feed``.
+graph stand in ``drape.graph.packed_inputs``, those of the push-out in ``drape.graph.push_feed`` and ``layer_feed``.
 """
 
 from __future__ import annotations

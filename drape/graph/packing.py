@@ -25,7 +25,7 @@ from drape.garment.consensus import MEMBERS
 from drape.geometry import jets
 from drape.graph.feeds import shape_numbers
 from drape.graph.inputs import PARTS
-from drape.graph.packed import (
+from drape.graph.packed_inputs import (
     CHARTS_PER_TILE,
     VERTICES_PER_BLOCK,
     Indices,
@@ -282,7 +282,7 @@ class Composition:
         return sum(array.nbytes for array in self.arrays.values())
 
 
-def compose(items: Sequence[tuple[PackedGarment, Place, int]]) -> Composition:
+def compose_garments(items: Sequence[tuple[PackedGarment, Place, int]]) -> Composition:
     """Returns the index tensors of ``items``. An item is a garment, the place of its constants in store, and the row of
     its body."""
     patch_stored, patch_body, patch_bone, tile_stored, tile_patch, charts = ([] for _ in range(6))

@@ -15,14 +15,14 @@ import numpy as np
 from drape.body.feed import BodyFeed
 from drape.body.skeleton import JOINT_COUNT
 from drape.graph.blend import Tiles, blend
-from drape.graph.packed import PART_SIZE
+from drape.graph.packed_inputs import PART_SIZE
 from drape.graph.packing import PackedGarment
 from drape.inference.graph_names import FIRST, JETS, SKIN
-from drape.network.bodies import PosedBody, posed_body
+from drape.network.bodies import PosedBody, pose_bodies
 from drape.network.dense import OUTPUTS, Layer
 from drape.network.drape import checked_jets
-from drape.network.garments import encoded, garment_encoder
-from drape.network.motion import advance, motion_encoder
+from drape.network.garment_encoder import encoded, garment_encoder
+from drape.network.motion import advance_encoder, motion_encoder
 from drape.network.patch_rows import PatchRows, patch_rows
 from drape.network.weights import weights_of
 
@@ -60,7 +60,7 @@ class CompiledNetwork:
         """Codes (n, C) and next states (n, H) of a dynamic network, for motion (n, 24, 12), states (n, H) and steps
         (n,) [s], all float32."""
         assert self._motion is not None
-        code, after = advance(self._motion, features, state, dt_s)
+        code, after = advance_encoder(self._motion, features, state, dt_s)
         return code[:, : self._code_size], after
 
     def rows(self, garment: PackedGarment) -> GarmentRows:
@@ -84,7 +84,7 @@ class CompiledNetwork:
         local, rest = feed["joint_quaternion"][row][:JOINT_COUNT], feed["joint_rest"][row]
         given = (local, rest, feed["betas"][row], code)
         local, rest, betas, code = (np.ascontiguousarray(array, np.float32) for array in given)
-        return posed_body(self.weights, BodyFeed(local, rest, betas, code, parts, bones, skin_counts), skin)
+        return pose_bodies(self.weights, BodyFeed(local, rest, betas, code, parts, bones, skin_counts), skin)
 
     def drape(
         self, garment: GarmentRows, body: PosedBody, passes: int | None, *, vertices: bool

@@ -12,7 +12,7 @@ import numpy as np
 
 from drape.artifacts import GraphSpec, Manifest, TensorSpec, WeightsSpec, load_manifest, read_parameters
 from drape.body.model import BodyModel
-from drape.body.pose_support import read_pose_support
+from drape.body.pose_distance import read_pose_support
 from drape.cloth.fabric import Fabric
 from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment

@@ -18,7 +18,7 @@ TENSOR_NAME = 8
 
 
 @dataclass(frozen=True)
-class Field:
+class MessageField:
     """One field: its number, the whole of it, and what it holds (a number, or the span of its bytes)."""
 
     number: int
@@ -38,7 +38,7 @@ class Field:
         return next((part.text() for part in fields_of(self.content) if part.number == number), "")
 
 
-def fields_of(data: bytes) -> Iterator[Field]:
+def fields_of(data: bytes) -> Iterator[MessageField]:
     """The fields of a message, one after the other."""
     position = 0
     while position < len(data):
@@ -47,7 +47,7 @@ def fields_of(data: bytes) -> Iterator[Field]:
         number, kind = key >> 3, key & 7
         if kind == VARINT:
             value, position = read_varint(data, position)
-            yield Field(number, data[start:position], value)
+            yield MessageField(number, data[start:position], value)
             continue
         if kind == BYTES:
             size, position = read_varint(data, position)
@@ -55,7 +55,7 @@ def fields_of(data: bytes) -> Iterator[Field]:
             assert kind in (EIGHT_BYTES, FOUR_BYTES)
             size = 8 if kind == EIGHT_BYTES else 4
         assert position + size <= len(data)
-        yield Field(number, data[start : position + size], data[position : position + size])
+        yield MessageField(number, data[start : position + size], data[position : position + size])
         position += size
 
 

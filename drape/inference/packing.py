@@ -25,7 +25,7 @@ from drape.contact.samples import REGION_SIZE
 from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
 from drape.graph.feeds import garment_feed
-from drape.graph.packing import Composition, PackedBody, compose, pack_garment
+from drape.graph.packing import Composition, PackedBody, compose_garments, pack_garment
 from drape.graph.push_feed import SkinShapes
 from drape.inference.graph_names import JETS, PACKED, SKIN
 from drape.inference.store import Store
@@ -299,7 +299,7 @@ class Packer:
         return call
 
     def _made(self, session: Session, items: Sequence[Item]) -> _Call:
-        composition = compose([(self._store.packed(key), self._store.place(key), row) for key, row in items])
+        composition = compose_garments([(self._store.packed(key), self._store.place(key), row) for key, row in items])
         stored = self._store.arrays()
         names = stored.keys() & set(session.inputs)
         feed: dict[str, Value] = {name: self._constant(name, stored[name]) for name in names}

@@ -29,7 +29,7 @@ from drape.inference.onnx_bytes import (
     NODE_TYPE,
     TENSOR_NAME,
     VALUE_NAME,
-    Field,
+    MessageField,
     fields_of,
     written,
 )
@@ -45,7 +45,7 @@ def misexported(what: str, *, expected: str, got: str) -> ArtifactError:
 class _Node:
     """A node: names it reads and writes, its operator, and its fields."""
 
-    fields: tuple[Field, ...]
+    fields: tuple[MessageField, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     operator: str
@@ -81,7 +81,7 @@ def cut(
 
 
 def _cut_graph(
-    fields: list[Field], outputs: Sequence[str], direct: set[str], instead: dict[str, str], given: set[str]
+    fields: list[MessageField], outputs: Sequence[str], direct: set[str], instead: dict[str, str], given: set[str]
 ) -> bytes:
     nodes = [_node(field) for field in fields if field.number == GRAPH_NODE]
     renamed = {
@@ -115,7 +115,7 @@ def _cut_graph(
     return b"".join(result + [declared[name].raw for name in outputs])
 
 
-def _node(field: Field) -> _Node:
+def _node(field: MessageField) -> _Node:
     assert isinstance(field.value, bytes)
     fields = tuple(fields_of(field.value))
     for attribute in fields:

@@ -1,4 +1,4 @@
-"""The records by which a client folds and swings a garment by itself (``drape.wire.folds``)."""
+"""The records by which a client folds and swings a garment by itself (``drape.wire.folds_message``)."""
 
 from __future__ import annotations
 

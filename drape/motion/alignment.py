@@ -81,7 +81,7 @@ def rest_alignment(
     return alignment
 
 
-def joint_rotations(rotations: np.ndarray, sources: Mapping[str, int], alignment: np.ndarray) -> np.ndarray:
+def world_joint_rotations(rotations: np.ndarray, sources: Mapping[str, int], alignment: np.ndarray) -> np.ndarray:
     """World rotations (F, 24, 3, 3) of the SMPL joints, from world rotations ``D`` (F, J, 3, 3) and ``A`` (24, 3, 3).
 
     A joint that the skeleton lacks goes with its parent.

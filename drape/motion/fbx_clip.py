@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from drape.errors import MotionError
-from drape.files.fbx import read_motion
+from drape.files.fbx import read_animation
 from drape.motion.clip import MotionClip
 from drape.motion.node_clip import MovingNodes, file_bytes, node_clip
 
@@ -22,7 +22,7 @@ def read_fbx_motion(path: Path, *, clip: str | None = None) -> MotionClip:
     def fault(expected: str, got: str, cure: str) -> MotionError:
         return MotionError(path.name, expected=expected, got=got, cure=cure)
 
-    held = read_motion(file_bytes(path), fault, clip=clip)
+    held = read_animation(file_bytes(path), fault, clip=clip)
     order, parents = _parents_first(held.parents)
     rest = np.tile(np.eye(4), (len(order), 1, 1))
     rest[:, :3] = held.rest[order]

@@ -24,7 +24,7 @@ SPARSE_RATE = 30.0  # where keys are farther apart than at the lowest
 WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 
 
-class Target(Part):
+class ChannelTarget(Part):
     """The target of a channel: the ``node`` that it moves, and the ``path``: translation, rotation, scale or
     weights."""
 
@@ -36,7 +36,7 @@ class Channel(Part):
     """A channel of an animation."""
 
     sampler: Index
-    target: Target
+    target: ChannelTarget
 
 
 class Sampler(Part):

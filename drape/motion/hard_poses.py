@@ -9,7 +9,7 @@ import igl
 import numpy as np
 
 from drape.body.model import BodyModel
-from drape.body.pose_support import BODY_JOINTS
+from drape.body.pose_distance import BODY_JOINTS
 from drape.errors import InputError
 from drape.geometry import meshes
 from drape.geometry.rotations import rotvec_to_matrix

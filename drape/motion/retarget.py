@@ -18,7 +18,7 @@ import numpy as np
 from drape.body.skeleton import PARENTS
 from drape.errors import MotionError
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
-from drape.motion.alignment import joint_rotations, least_turn, rest_alignment
+from drape.motion.alignment import least_turn, rest_alignment, world_joint_rotations
 from drape.motion.clip import MotionClip
 from drape.motion.joint_names import match_joints
 from drape.motion.odd_rest import arms_across, keep_mean_twists, odd_limbs, tips_of, trunk_ends, turn_tips
@@ -122,7 +122,7 @@ def retarget(
     )
     vertical = _AXES[up] if up else _find_up(0.5 * scale * (feet[0] + feet[1]), scale * top, alignment)
     world = least_turn(vertical, _AXES["y"], np.eye(3))
-    turned = joint_rotations(world @ rotations, sources, alignment)
+    turned = world_joint_rotations(world @ rotations, sources, alignment)
     odd = odd_limbs(rest, sources, alignment)
     told = turn_tips(turned, tips_of(rest, skeleton.parents, sources), alignment, odd)
     keep_mean_twists(turned, sources, alignment, odd, told)

@@ -27,7 +27,7 @@ from drape.geometry.rotations import (
     quaternion_to_matrix,
     rotvec_to_matrix,
 )
-from drape.motion.alignment import joint_rotations, rest_alignment, rest_bone
+from drape.motion.alignment import rest_alignment, rest_bone, world_joint_rotations
 from drape.motion.joint_names import is_whole, match_joints
 from drape.motion.legs import SIDES
 from drape.motion.retarget import global_rotations, local_rotations
@@ -136,7 +136,7 @@ def rig_to_poses(rig: Rig, quaternions: np.ndarray) -> np.ndarray:
     """
     quaternions = _unit_quaternions("quaternions", quaternions, (None, len(rig.names), 4))
     world = global_rotations(quaternion_to_matrix(quaternions), rig.parents)
-    turned = joint_rotations(world @ np.swapaxes(rig.rest_world, -1, -2), rig.sources, rig.alignment)
+    turned = world_joint_rotations(world @ np.swapaxes(rig.rest_world, -1, -2), rig.sources, rig.alignment)
     _spread(turned, rig.sources)
     return matrix_to_rotvec(local_rotations(turned, PARENTS))
 

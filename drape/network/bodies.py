@@ -38,7 +38,7 @@ class PosedBody(Recorded):
     region: np.ndarray
 
 
-def posed_body(weights: Weights, feed: BodyFeed, skin: np.ndarray) -> PosedBody:
+def pose_bodies(weights: Weights, feed: BodyFeed, skin: np.ndarray) -> PosedBody:
     """Returns the ``PosedBody`` of ``feed``. ``skin`` (S, 8) is written here, or is given already posed where ``feed``
     has no rows for it."""
     kind = skin.dtype

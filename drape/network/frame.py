@@ -1,6 +1,6 @@
 """One frame of one garment in one call of the engine: a pose in, draped vertices, memories and wire coordinates out.
 
-The engine calls its own functions one after the other (``source/frame.cpp``). So it gives the bits of ``posed_body``,
+The engine calls its own functions one after the other (``source/frame.cpp``). So it gives the bits of ``pose_bodies``,
 ``checked_jets``, ``blend``, ``swing`` and folds, and what is between them never becomes an object of Python.
 """
 

@@ -13,7 +13,7 @@ from drape.engine.calls import call_with_scratch
 from drape.engine.packer import Recorded
 from drape.graph.inputs import SLOPE
 from drape.network.dense import Layer, body_layer
-from drape.network.weights import body_layers, layers_of
+from drape.network.weights import body_layers, parameter_layers
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +37,8 @@ def motion_encoder(parameters: Mapping[str, np.ndarray], network: Mapping[str, A
     decay_s = float(network["state_decay_s"])
     return MotionEncoder(
         parameters["dynamic.scale.inverse"],
-        body_layers(layers_of(parameters, "dynamic.joint."), last=SLOPE),
-        body_layers(layers_of(parameters, "dynamic.body.")),
+        body_layers(parameter_layers(parameters, "dynamic.joint."), last=SLOPE),
+        body_layers(parameter_layers(parameters, "dynamic.body.")),
         body_layer(parameters["dynamic.cell.weight_ih"]),
         body_layer(parameters["dynamic.cell.weight_hh"]),
         body_layer(parameters["dynamic.code_scale"][:, None] * parameters["dynamic.out.weight"]),
@@ -47,7 +47,7 @@ def motion_encoder(parameters: Mapping[str, np.ndarray], network: Mapping[str, A
     )
 
 
-def advance(
+def advance_encoder(
     encoder: MotionEncoder, features: np.ndarray, state: np.ndarray, dt_s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Codes (N, outputs) and next states (N, H) of N bodies with motion ``features`` (N, 24, m) and ``state`` (N, H)

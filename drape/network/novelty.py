@@ -1,4 +1,4 @@
-"""How unlike training poses are: ``drape.body.pose_support.PoseSupport.novelty``, by the engine."""
+"""How unlike training poses are: ``drape.body.pose_distance.PoseSupport.novelty``, by the engine."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.body.features import joint_rotations
-from drape.body.pose_support import PART_ENTRIES, PART_JOINTS, PoseSupport
+from drape.body.pose_distance import PART_ENTRIES, PART_JOINTS, PoseSupport
 from drape.engine.calls import call_with_scratch
 from drape.engine.packer import Recorded
 from drape.network.dense import Layer, body_layer

@@ -44,19 +44,19 @@ def weights_of(parameters: Mapping[str, np.ndarray], output_gain: float) -> Weig
     """The weights of ``parameters`` by their names in training; ``output_gain`` is the factor of jets."""
     decoder = "decoder."
     nothing = np.zeros(len(parameters[decoder + "from_surroundings.weight"]), np.float32)
-    heads = [layers_of(parameters, f"{decoder}heads.{name}.") for name in ("plane", "height")]
+    heads = [parameter_layers(parameters, f"{decoder}heads.{name}.") for name in ("plane", "height")]
     count = len({name.split(".")[1] for name in parameters if name.startswith("corrections.")})
-    pairs = [_made(layers_of(parameters, f"corrections.{i}."), output_gain) for i in range(count)]
+    pairs = [_made(parameter_layers(parameters, f"corrections.{i}."), output_gain) for i in range(count)]
     points, order = strain_points(), jets.HEIGHT_ORDER
     along = [jets.basis_derivative(points, order, **times) for times in ({"u_times": 1}, {"v_times": 1})]
     logs = np.log(np.arange(OTHER_STEPS + 1) / OTHER_STEPS + OTHER_LEAST)
     return Weights(
         parameters["body.standardise.mean"],
         parameters["body.standardise.inverse_deviation"],
-        body_layers(layers_of(parameters, "body.layers.")),
+        body_layers(parameter_layers(parameters, "body.layers.")),
         body_layer(parameters[decoder + "from_body.weight"]),
         layer(parameters[decoder + "from_surroundings.weight"], nothing, SLOPE),
-        tuple(layer(*each, SLOPE) for each in layers_of(parameters, decoder + "trunk.")),
+        tuple(layer(*each, SLOPE) for each in parameter_layers(parameters, decoder + "trunk.")),
         _made([_beside(*each, shared=depth == 0) for depth, each in enumerate(zip(*heads, strict=True))], output_gain),
         tuple(first for first, _ in pairs),
         tuple(second for _, second in pairs),
@@ -64,7 +64,7 @@ def weights_of(parameters: Mapping[str, np.ndarray], output_gain: float) -> Weig
     )
 
 
-def layers_of(parameters: Mapping[str, np.ndarray], start: str) -> list[tuple[np.ndarray, np.ndarray]]:
+def parameter_layers(parameters: Mapping[str, np.ndarray], start: str) -> list[tuple[np.ndarray, np.ndarray]]:
     """Returns weights and biases of the layers whose names in ``parameters`` begin with ``start``, in order; zeros for
     a layer without biases."""
     numbers = sorted({int(name[len(start) :].split(".")[0]) for name in parameters if name.startswith(start)})

@@ -155,7 +155,7 @@ class Quality:
 
     ``pushed_share`` of the vertices were moved off the skin by the collision projection or by folds, the furthest by
     ``push_max_m`` [m]. A vertex made of the jets lacks at most ``left_m`` [m] of that. ``folds_resets`` layers began
-    their folds anew. ``novelty`` says how unlike training the pose is; above 1 it is outside (``body.pose_support``).
+    their folds anew. ``novelty`` says how unlike training the pose is; above 1 it is outside (``body.pose_distance``).
     """
 
     pushed_share: np.ndarray

@@ -1,6 +1,6 @@
 """The network's drape of every garment: poses and codes in, vertices or posed jets out, through the packed graph.
 
-And how far poses are from those that it learned from (``drape.body.pose_support``): folds do more for novel ones.
+And how far poses are from those that it learned from (``drape.body.pose_distance``): folds do more for novel ones.
 """
 
 from __future__ import annotations

@@ -2,14 +2,14 @@
 
 All numbers are little endian. Every message begins with the same 16 bytes (magic,
 version, kind, flags, sequence, count). The client sends POSE and ACK, the service FRAME. A stream on an avatar takes
-RIG_POSE in place of POSE (``drape.wire.rig_poses``).
+RIG_POSE in place of POSE (``drape.wire.rig_pose_message``).
 Vertices travel as 16-bit steps inside the frame's own bounding box, relative to the
 root joint: half a step of a 2 m box is 0.015 mm. A client that asked for jets gets JETS in place of FRAME
 (``drape.wire.jets``) and once per garment a LAYOUT (``drape.wire.layout``). A request of REST may send its motion as a
-CLIP (``drape.wire.clips``); a stream that can move to another process takes STATE along (``drape.wire.state``). A
-client that can take SAME gets it in place of the frame while the body stands still. With FOLDS (``drape.wire.folds``)
-a client makes folds by itself. Meshes at rest come as MESH and BODY (``drape.wire.meshes``). The conversation:
-docs/reference/wire.md.
+CLIP (``drape.wire.clip_message``); a stream that can move to another process takes STATE along
+(``drape.wire.state_pieces``). A client that can take SAME gets it in place of the frame while the body stands still.
+With FOLDS (``drape.wire.folds_message``) a client makes folds by itself. Meshes at rest come as MESH and BODY
+(``drape.wire.mesh_messages``). The conversation: docs/reference/wire.md.
 """
 
 from __future__ import annotations

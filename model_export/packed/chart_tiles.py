@@ -8,36 +8,38 @@ from torch import Tensor
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.consensus import FIT_COUNT, MEMBERS
 from drape.geometry import jets
-from drape.graph.packed import COLUMNS, VERTICES_PER_BLOCK, Indices, StoredCharts
-from model_export.packed.kinematics import Frames
+from drape.graph.packed_inputs import COLUMNS, VERTICES_PER_BLOCK, Indices, StoredCharts
+from model_export.packed.kinematics import PatchFrames
 from model_export.packed.operators import WithTables
 
 # Rows of (place, 1, u, v, uu, uv, vv) whose products are the basis of orders 3 and 4.
 _HIGHER = (6, 6, 8, 8, 6, 6, 7, 7, 8), (4, 5, 4, 5, 6, 7, 7, 8, 8)
 
 
-class Charts(WithTables):
+class ChartConsensus(WithTables):
     """The blend of the charts, and the fit of each chart to that blend."""
 
     def __init__(self) -> None:
-        super().__init__(tables())
+        super().__init__(chart_tables())
 
-    def posed(self, frames: Frames, jet: Tensor) -> Tensor:
+    def posed(self, frames: PatchFrames, jet: Tensor) -> Tensor:
         """Posed jets (P, 3, 18) of ``jet`` (P, 27 or 45) in ``frames``."""
         placed = self.placed_full if jet.shape[-1] == jets.FULL_COUNT else self.placed
         return frames.out @ torch.addmm(self.frame_only, jet, placed).reshape(-1, 4, COLUMNS)
 
-    def agreed(self, said: Tensor, stored: StoredCharts, index: Indices, frames: Frames) -> Tensor:
+    def agreed(self, said: Tensor, stored: StoredCharts, index: Indices, frames: PatchFrames) -> Tensor:
         """Returns the jets (P, 27) of charts fitted to their blend, as ``training.chart_consensus.agreed_jets`` does.
         ``said`` (P, 3, 56) is where each chart puts its members."""
         return self._fitted(said, stored, index, frames, self.fit_choice)
 
-    def closed(self, said: Tensor, stored: StoredCharts, index: Indices, frames: Frames) -> Tensor:
+    def closed(self, said: Tensor, stored: StoredCharts, index: Indices, frames: PatchFrames) -> Tensor:
         """Returns the full jets (P, 45) of charts fitted to their blend, as ``training.chart_consensus.closing_jets``
         does."""
         return self._fitted(said, stored, index, frames, self.full_choice)
 
-    def _fitted(self, said: Tensor, stored: StoredCharts, index: Indices, frames: Frames, choice: Tensor) -> Tensor:
+    def _fitted(
+        self, said: Tensor, stored: StoredCharts, index: Indices, frames: PatchFrames, choice: Tensor
+    ) -> Tensor:
         """Jets fitted to the blend; ``choice`` picks their coefficients among the 63."""
         assert index.anchor_charts is not None and index.member_anchor is not None
         anchors = self._blended(said, index.anchor_charts)
@@ -64,8 +66,8 @@ class Charts(WithTables):
         return self._blended(coefficients @ columns, vertex_charts).mT.reshape(-1, VERTICES_PER_BLOCK, 3)
 
 
-def tables() -> dict[str, Tensor]:
-    """Buffers of ``Charts``."""
+def chart_tables() -> dict[str, Tensor]:
+    """Buffers of ``ChartConsensus``."""
     return {
         **_jet_tables(),
         "chart_sums": torch.kron(torch.eye(3), torch.ones(1, CHARTS_PER_VERTEX)),

@@ -29,14 +29,14 @@ from drape.artifacts import GraphSpec, TensorSpec
 from drape.body.skeleton import JOINT_COUNT
 from drape.contact.samples import REGION_SIZE
 from drape.errors import ArtifactError
-from drape.garment.features import JOINT_REACH_M
+from drape.garment.patch_features import JOINT_REACH_M
 from drape.geometry import jets
 from drape.graph.inputs import ROOT, SLOPE
-from drape.graph.packed import VERTICES_PER_BLOCK, Indices, PackedBodies, PackedTensors, StoredPatches
+from drape.graph.packed_inputs import VERTICES_PER_BLOCK, Indices, PackedBodies, PackedTensors, StoredPatches
 from drape.graph.packing import pass_name
 from model_export.onnx_file import write_graph
-from model_export.packed.chart_tiles import Charts
-from model_export.packed.kinematics import Frames, Kinematics
+from model_export.packed.chart_tiles import ChartConsensus
+from model_export.packed.kinematics import PatchFrames, PatchKinematics
 from model_export.packed.operators import TRANSLATIONS, rows
 from model_export.packed.skin_planes import Contact, posed_skins
 from model_export.packed.strain import Strain
@@ -90,7 +90,7 @@ class PosedPatches:
 
     coefficients: Tensor
     jet: Tensor
-    frames: Frames
+    frames: PatchFrames
     skin: Tensor
     passes: tuple[Tensor, ...]
 
@@ -109,7 +109,7 @@ class FirstGraph(nn.Module):
 
 
 class PackedGraph(nn.Module):
-    """``drape.graph.packed.PackedTensors`` by name -> all of ``packed_outputs``.
+    """``drape.graph.packed_inputs.PackedTensors`` by name -> all of ``packed_outputs``.
 
     Only for vector jets: the paper's variant has another vertex stage, which skins vertices.
     """
@@ -132,7 +132,8 @@ class PackedGraph(nn.Module):
         self.trunk = decoder.trunk
         self.from_surroundings = surroundings_layer(decoder.from_surroundings)
         self.head = merged_heads(decoder.heads, model.config.output_gain)
-        self.kinematics, self.charts, self.strain, self.contact = Kinematics(), Charts(), Strain(), Contact()
+        self.kinematics, self.charts = PatchKinematics(), ChartConsensus()
+        self.strain, self.contact = Strain(), Contact()
         self.corrections = nn.ModuleList(
             correction_layers(correction, model.config.output_gain) for correction in model.corrections
         )
@@ -180,7 +181,7 @@ class PackedGraph(nn.Module):
         kept = tuple(passes) if len(passes) > 1 else ()
         return PosedPatches(charts.posed(frames, jet), jet, frames, skin, kept)
 
-    def _with_surroundings(self, x: Tensor, joints: Tensor, frames: Frames, base: Tensor) -> Tensor:
+    def _with_surroundings(self, x: Tensor, joints: Tensor, frames: PatchFrames, base: Tensor) -> Tensor:
         """``x`` plus the layer on ``patch_surroundings`` of posed joints (P, 3, 24), and on ``base``."""
         offset = frames.rotation.mT @ (joints - frames.centre)
         # A maximum and not a sum: the exporter's optimiser takes "+ 1e-12" for "+ 0" and drops the guard.

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from drape.body.features import STATIC_PER_JOINT
 from drape.body.skeleton import JOINT_COUNT, PARENTS
-from drape.graph.packed import Indices, PackedBodies, StoredPatches
+from drape.graph.packed_inputs import Indices, PackedBodies, StoredPatches
 from model_export.packed.operators import WithTables, rows
 
 # Entries of q q^T (wxyz, row by row) in each entry of the rotation matrix less the identity, and in |q|^2.
@@ -33,7 +33,7 @@ _LEFT = (
 
 
 @dataclass(frozen=True)
-class Bones:
+class PosedBones:
     """Bones of B bodies: quaternions (B, 24, 4), rotations (B, 24, 3, 3), translations and joints [m] (B, 24, 3)."""
 
     quaternion: Tensor
@@ -43,7 +43,7 @@ class Bones:
 
 
 @dataclass(frozen=True)
-class Frames:
+class PatchFrames:
     """Posed frames of P patches: ``rotation`` (P, 3, 3), ``centre`` [m] (P, 3, 1), ``scale`` [m] (P, 1, 1).
 
     ``out`` (P, 3, 4) takes patch scales to the world; ``into`` (P, 3, 3), transposed, world vectors to patch scales.
@@ -56,22 +56,22 @@ class Frames:
     into: Tensor
 
 
-class Kinematics(WithTables):
+class PatchKinematics(WithTables):
     """Bodies -> bones, features, and the frames of their patches."""
 
     def __init__(self) -> None:
         jumps = {f"jump_{i}": jump for i, jump in enumerate(ancestor_jumps())}
-        super().__init__(tables() | jumps)
+        super().__init__(kinematic_tables() | jumps)
         self.jumps = list(jumps)
 
-    def forward(self, bodies: PackedBodies) -> tuple[Bones, Tensor]:
+    def forward(self, bodies: PackedBodies) -> tuple[PosedBones, Tensor]:
         """Bones of ``bodies``, and ``drape.body.features.static_features`` and the shape (B, 226)."""
         quaternion, rotation, joints = self._posed_joints(bodies.quaternion, bodies.rest)
         translation = joints - (rotation @ bodies.rest[..., None])[..., 0]
         features = self._features(bodies.quaternion, rotation, bodies.betas)
-        return Bones(quaternion, rotation, translation, joints), features
+        return PosedBones(quaternion, rotation, translation, joints), features
 
-    def frames(self, bodies: PackedBodies, bones: Bones, patches: StoredPatches, index: Indices) -> Frames:
+    def frames(self, bodies: PackedBodies, bones: PosedBones, patches: StoredPatches, index: Indices) -> PatchFrames:
         """The frames of ``patches`` on the bodies that ``index`` names."""
         blended = self._blended_rotation(bones.quaternion, patches.weights, index)
         rotation = blended @ patches.rotation
@@ -81,7 +81,7 @@ class Kinematics(WithTables):
         move = patches.weights[:, None, :] @ rows(moves, index.body)
         centre, scale = move.reshape(-1, 3, 4) @ rest, patches.scale[:, :, None]
         out = torch.cat([rotation * scale, centre], dim=-1)
-        return Frames(rotation, centre, scale, out, into=rotation / scale)
+        return PatchFrames(rotation, centre, scale, out, into=rotation / scale)
 
     def _posed_joints(self, local: Tensor, rest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """World quaternions (B, 24, 4), rotations (B, 24, 3, 3) and joints [m] (B, 24, 3) of bodies.
@@ -123,8 +123,8 @@ class Kinematics(WithTables):
         return self._matrices(mixed).reshape(-1, 3, 3)
 
 
-def tables() -> dict[str, Tensor]:
-    """Buffers of ``Kinematics``."""
+def kinematic_tables() -> dict[str, Tensor]:
+    """Buffers of ``PatchKinematics``."""
     rotation = torch.zeros(16, 10)
     for column, entries in enumerate(_ROTATION):
         for row, factor in entries:

@@ -15,8 +15,8 @@ from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.contact.skin import skin_table
 from drape.garment.consensus import STRAIN_POINTS, strain_points
 from drape.geometry import jets
-from drape.graph.packed import ShapedSkins, StoredProximity
-from model_export.packed.kinematics import Frames
+from drape.graph.packed_inputs import ShapedSkins, StoredProximity
+from model_export.packed.kinematics import PatchFrames
 from model_export.packed.operators import WithTables, softsign
 
 PLACES = 2 * STRAIN_POINTS  # of a patch: each point before its own part of the body, then before others
@@ -49,7 +49,7 @@ class Contact(WithTables):
     """
 
     def __init__(self) -> None:
-        super().__init__(tables())
+        super().__init__(skin_plane_tables())
 
     def places(self, lists: StoredProximity) -> Tensor:
         """Rest places (P, 42) of the points, for both parts of the body."""
@@ -60,7 +60,7 @@ class Contact(WithTables):
         return torch.addmm(places, jet, self.point_terms)
 
     def near(
-        self, points: Tensor, skin: Tensor, lists: StoredProximity, patch_body: Tensor, frames: Frames
+        self, points: Tensor, skin: Tensor, lists: StoredProximity, patch_body: Tensor, frames: PatchFrames
     ) -> NearPlanes:
         """Planes near ``points`` (P, 42) of patches on the bodies ``patch_body`` (P,), of ``skin`` (B, R, 12, 8)."""
         world = (frames.rotation * frames.scale) @ points.reshape(-1, 3, PLACES) + frames.centre
@@ -88,7 +88,7 @@ class Contact(WithTables):
         return torch.amin(room / torch.maximum(deeper + SOFT_M / UNIT_M, room), dim=-1, keepdim=True)
 
 
-def tables() -> dict[str, Tensor]:
+def skin_plane_tables() -> dict[str, Tensor]:
     """Buffers of ``Contact``."""
     basis = torch.from_numpy(jets.basis(strain_points(), jets.HEIGHT_ORDER)).float()  # (7, 15)
     terms = torch.zeros(jets.JET_COUNT, 3, 2, STRAIN_POINTS)

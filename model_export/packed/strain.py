@@ -42,7 +42,7 @@ class Stretch:
     monomials: Tensor
 
 
-def tables() -> dict[str, Tensor]:
+def strain_tables() -> dict[str, Tensor]:
     """Buffers of ``Strain``; numbers of a point lie together by kind, points last."""
     directions = torch.tensor(DIRECTIONS)
     terms = tangent_terms().reshape(jets.JET_COUNT, STRAIN_POINTS, 3, 2)
@@ -75,7 +75,7 @@ class Strain(WithTables):
     """Jets of patches -> ``softened`` strain and force, as the corrections take them."""
 
     def __init__(self) -> None:
-        super().__init__(tables())
+        super().__init__(strain_tables())
 
     def stretch(self, tangent: Tensor, unit: Tensor) -> Stretch:
         """Returns the constants of a call's patches from the stored ``strain_tangent`` (P, 42) and ``strain_unit`` (P,

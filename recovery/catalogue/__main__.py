@@ -29,7 +29,7 @@ from recovery.pattern.measurements import PATTERN_STEPS, measure_body
 from recovery.progress import watched
 
 
-def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+def _parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """The command line."""
     default = BuildOptions()
     parser = parser_of("recovery.catalogue", __doc__)
@@ -53,7 +53,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 @watched()
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command and returns its exit code: 2 with a sentence if input is refused, 3 if cloth is not at rest."""
-    given = parse(arguments)
+    given = _parse(arguments)
     if given.command == "list":
         measurements = measure_body(load_body())
         for name in CATALOGUE:

@@ -20,7 +20,7 @@ from drape.cloth.fabric_table import fabric
 from drape.cloth.relaxation import Distance, principal_stretches
 from drape.errors import NotFound
 from drape.files.atomic import write_whole
-from drape.garment.sewing import Edge, Seam, Sewing
+from drape.garment.sewing import FreeEdge, Seam, Sewing
 from drape.geometry import meshes
 from recovery.catalogue.cuts import CATALOGUE
 from recovery.catalogue.fall import HEM_BENDING, HEM_M, SETTLING, Fall
@@ -165,7 +165,7 @@ def sewing(garment: SewnGarment, *, name: str, size: str, body: str) -> Sewing:
         if ref not in design.pattern.sewn:
             line = np.asarray(mesh.edge_vertices[ref])
             edges.append(
-                Edge(named, edge_kind(named), ref.panel, mesh.node_of_panel_vertex[line].tolist(), line.tolist())
+                FreeEdge(named, edge_kind(named), ref.panel, mesh.node_of_panel_vertex[line].tolist(), line.tolist())
             )
     return Sewing(
         name=name,

@@ -33,7 +33,7 @@ from recovery.pattern.garmentcode import read_pattern
 from recovery.progress import watched
 
 
-def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+def _parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """The command line."""
     default = SewingOptions()
     parser = parser_of("recovery.drape", __doc__)
@@ -62,7 +62,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 @watched()
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command and returns its exit code: with a sentence, 2 if input is refused, 3 if cloth is not right."""
-    given = parse(arguments)
+    given = _parse(arguments)
     started = time.perf_counter()
     pattern = read_pattern(given.pattern, units_in_meter=given.units_in_meter)
     name = garment_name(given.name or pattern.name)

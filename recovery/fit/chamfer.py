@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from drape.geometry import closest
-from drape.geometry.drawing import drawn
+from drape.geometry.drawing import draw_points
 
 POINT_COUNT = 100_000
 
@@ -57,8 +57,8 @@ def surface_chamfer(
 
     Faces of the second that are not ``known`` close holes: what lies nearest to them does not count.
     """
-    own = _opposite_known(drawn(*first, count, 0), second, known)
-    there, anew = (drawn(*_known_part(second, known), count, seed) for seed in (1, 2))
+    own = _opposite_known(draw_points(*first, count, 0), second, known)
+    there, anew = (draw_points(*_known_part(second, known), count, seed) for seed in (1, 2))
     return chamfer(own, there), chamfer(anew, there)
 
 
@@ -73,10 +73,10 @@ def surface_distance(
 
     Faces of the second that are not ``known`` close holes: what lies nearest to them does not count.
     """
-    own = _opposite_known(drawn(*first, count, 0), second, known)
+    own = _opposite_known(draw_points(*first, count, 0), second, known)
     ways = [
         closest.closest_point(own, *second).distance,
-        closest.closest_point(drawn(*_known_part(second, known), count, 1), *first).distance,
+        closest.closest_point(draw_points(*_known_part(second, known), count, 1), *first).distance,
     ]
     found = 1e3 * np.concatenate(ways)
     rms = float(np.sqrt((found**2).mean()))

@@ -21,7 +21,6 @@ from torch import Tensor
 from drape.garment.contours import Contour, Match, open_contours
 from drape.geometry import closest, meshes
 from recovery.pattern.pattern_mesh import PatternMesh
-from recovery.pattern.triangulate import signed_areas
 
 FOLD_PER_M = 100.0  # H0 of the weight min(1 + |H| / H0, 5): a fold of 1 cm
 LARGEST_WEIGHT = 5.0
@@ -103,7 +102,7 @@ class Objective:
     def __init__(self, mesh: PatternMesh, target: TargetSurface, contours: list[Contour], matches: list[Match]) -> None:
         self.mesh, self.target = mesh, target
         self._faces = torch.from_numpy(np.ascontiguousarray(mesh.faces))
-        area = np.abs(signed_areas(mesh.rest, mesh.panel_faces))
+        area = np.abs(meshes.signed_areas(mesh.rest, mesh.panel_faces))
         self.shares = np.repeat(area / area.sum() / 3.0, 3)
         self.pairs = [(contours[m.source].loop, target.contours[m.target].points) for m in matches]
 

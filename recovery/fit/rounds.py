@@ -19,7 +19,7 @@ import torch
 from drape.body.model import BodyModel
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
-from drape.garment.contours import Match, Place, bone_chains, match_contours, open_contours, place_of
+from drape.garment.contours import ContourPlace, Match, bone_chains, match_contours, open_contours, place_of
 from recovery import progress as watch
 from recovery.drape.pattern_drape import Draped, SewingOptions, hanging
 from recovery.drape.posing import posed_joints
@@ -329,7 +329,7 @@ class _Rounds:
         return is_laid(self.base, [place.part for place in self.places])
 
     @cached_property
-    def places(self) -> list[Place]:
+    def places(self) -> list[ContourPlace]:
         """Where the target's contours lie on the body."""
         chains = bone_chains(posed_joints(self.body, self.pose))
         return [place_of(contour, chains) for contour in self.target.contours]

@@ -28,7 +28,7 @@ from recovery.pattern.style import add_style_lines, finish_pattern
 SEAM_LIMIT = 0.02
 
 
-def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+def _parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """The command line."""
     parser = parser_of("recovery.pattern", __doc__)
     commands = parser.add_subparsers(dest="command", required=True)
@@ -103,7 +103,7 @@ def show(options: argparse.Namespace) -> None:
 @refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command and returns its exit code: 2 with a sentence if input is refused."""
-    options = parse(arguments)
+    options = _parse(arguments)
     if options.command == "show":
         show(options)
         return 0

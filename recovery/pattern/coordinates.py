@@ -67,7 +67,7 @@ def with_controls(pattern: Pattern, controls: Controls, positions: np.ndarray) -
     return replace(pattern, panels=tuple(panels))
 
 
-def edge_matrix(edge: Edge, t: np.ndarray) -> np.ndarray:
+def edge_point_matrix(edge: Edge, t: np.ndarray) -> np.ndarray:
     """Matrix (2 T, 4): points of the edge at ``t`` (T,) from its start and its end.
 
     Coordinates are interleaved, x before y. A curve follows its chord: it needs the chord turned left, which mixes x
@@ -91,7 +91,7 @@ def boundary_matrix(panel: Panel, parameters: list[np.ndarray]) -> np.ndarray:
     for number, (edge, t) in enumerate(zip(panel.edges, parameters, strict=True)):
         ends = np.array([number, (number + 1) % corners])
         columns = (2 * ends[:, None] + np.arange(2)).reshape(-1)
-        matrix[row : row + 2 * len(t), columns] += edge_matrix(edge, t)
+        matrix[row : row + 2 * len(t), columns] += edge_point_matrix(edge, t)
         row += 2 * len(t)
     return matrix
 

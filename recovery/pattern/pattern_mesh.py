@@ -14,7 +14,7 @@ from drape.geometry import closest, meshes
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import Controls, boundary_matrix, control_points, mean_value_weights
 from recovery.pattern.sewing_pattern import EdgeRef, Panel, Pattern
-from recovery.pattern.triangulate import corner_angles_deg, signed_areas, triangulate
+from recovery.pattern.triangulate import corner_angles_deg, triangulate
 
 MOST_FLIPS = 200  # of inner edges at sewn corners
 
@@ -52,8 +52,8 @@ class PatternMesh:
 
     def folded(self, rest: np.ndarray) -> np.ndarray:
         """Numbers of the triangles that are turned over or flat when the panel vertices lie at ``rest`` [m] (P, 2)."""
-        areas = signed_areas(rest, self.panel_faces)
-        return np.nonzero(areas * np.sign(signed_areas(self.rest, self.panel_faces)) <= 0.0)[0]
+        areas = meshes.signed_areas(rest, self.panel_faces)
+        return np.nonzero(areas * np.sign(meshes.signed_areas(self.rest, self.panel_faces)) <= 0.0)[0]
 
     def placed(self) -> np.ndarray:
         """World positions [m] (P, 3) of the panel vertices, panels placed flat and not yet sewn."""
@@ -190,7 +190,7 @@ def _flip(points: np.ndarray, faces: np.ndarray, number: int, start: int) -> boo
     other, corner = across[0]
     d = faces[other][(corner + 2) % 3]
     pair = np.array([(a, b, d), (a, d, c)])
-    if signed_areas(points, pair).min() <= 0.0:
+    if meshes.signed_areas(points, pair).min() <= 0.0:
         return False
     faces[[number, other]] = pair
     return True

@@ -53,12 +53,6 @@ def corner_angles_deg(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.degrees(np.arctan2(np.abs(cross), (first * second).sum(axis=-1)))
 
 
-def signed_areas(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Areas [m^2] (F,) of plane triangles; negative where one is turned over."""
-    a, b, c = points[faces.T]
-    return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-
-
 def _lattice(polygon: np.ndarray, edge: float) -> np.ndarray:
     """Points of the triangular lattice inside ``polygon``, symmetric about the middle of its box."""
     low, high = polygon.min(axis=0), polygon.max(axis=0)

@@ -11,7 +11,7 @@ from drape.garment.avatars import Avatar
 from drape.garment.borders import Loop, borders, plainly_hole, plainly_opening
 from drape.garment.contours import TRUNK, bone_chains, open_contours, part_round, place_of
 from drape.garment.files.mesh import GarmentMesh
-from drape.garment.mesh_checks import Unit, Up, check_area, orient_outward, place
+from drape.garment.mesh_checks import Unit, Up, check_area, orient_outward, place_on_avatar
 from drape.geometry import closest, meshes
 from recovery.scan.holes import close_holes
 from recovery.sim.skin_contact import SkinContact
@@ -34,7 +34,7 @@ def placed_target(mesh: GarmentMesh, skin: Avatar, *, unit: Unit = "auto", up: U
     """``mesh`` in metres, y up, on ``skin``, with normals outward; refuses one that does not lie on it."""
     if not len(mesh.uv):
         mesh = replace(mesh, uv_faces=np.zeros((0, 3), dtype=np.int64))
-    mesh = orient_outward(place(mesh, skin, unit=unit, up=up), skin)
+    mesh = orient_outward(place_on_avatar(mesh, skin, unit=unit, up=up), skin)
     check_near(mesh, skin)
     check_area(mesh, "target area")
     return mesh

@@ -25,7 +25,7 @@ from drape.garment.contours import Contour, open_contours
 from drape.garment.files.mesh import AVATAR_VERTEX_LIMIT, GarmentMesh, read_mesh, weld
 from drape.garment.inside import STEPS, fit_from
 from drape.garment.mesh_checks import UNITS_M
-from drape.garment.registration import body_units, fit_body, posed_by, unpack
+from drape.garment.registration import body_units, fit_body, posed_by, unpack_parameters
 from drape.garment.searched_cloth import SearchedCloth
 from drape.garment.told_reading import ToldReading
 from drape.garment.wearer_reading import Reading
@@ -146,11 +146,11 @@ def inside_wearer(
         f"body {fit.body.name} fitted inside the target: cloth {mean_mm:.0f} mm from the skin on average, "
         f"{100.0 * inside:.1f} % of it inside"
     )
-    return mesh, TargetWearer(fit.body, *unpack(fit.body, fit.parameters), source, mean_mm)
+    return mesh, TargetWearer(fit.body, *unpack_parameters(fit.body, fit.parameters), source, mean_mm)
 
 
 class _Inside(NamedTuple):
-    """A body fitted inside a garment that is read so: its ``parameters`` (``registration.unpack``), and its cost."""
+    """A body fitted inside a garment that is read so: its ``parameters`` (``unpack_parameters``), and its cost."""
 
     body: BodyModel
     reading: Reading

@@ -11,7 +11,7 @@ import numpy as np
 from drape.errors import InputError
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake import garment_name
-from drape.garment.mesh_checks import Unit, Up, place
+from drape.garment.mesh_checks import Unit, Up, place_on_avatar
 from recovery import progress as watch
 from recovery.drape.posing import posed_joints
 from recovery.fit.rounds import RoundsOptions
@@ -189,7 +189,7 @@ def _placed_fault(fault: ScanFault, job: RecoveryJob) -> ScanFault:
     wearer = read_target_wearer(job.body, betas=job.betas, pose=job.pose)
     try:
         both = replace(fault.mesh, vertices=np.concatenate([fault.mesh.vertices, fault.points]))
-        both = place(both, wearer.skin, unit=job.unit, up=job.up).vertices
+        both = place_on_avatar(both, wearer.skin, unit=job.unit, up=job.up).vertices
     except InputError:
         return fault
     count = len(fault.mesh.vertices)

@@ -47,7 +47,7 @@ class LinearisedStep:
             rest = model.rest(parameters.panels)
             force = elastic.forces(model, rest, parameters, state.x) + self._outer_force(state.x, rest, parameters)
             mass = parameters.density_kg_m2 * rest.node_area
-            matrix = elastic.hessian(
+            matrix = elastic.elastic_hessian(
                 model,
                 rest,
                 parameters,
@@ -79,7 +79,7 @@ class LinearisedStep:
         pushed = (weights * self._outer_force(state.x, rest, parameters)).sum()
         total = dt * (pushed - elastic.work(model, rest, parameters, state.x, weights))
         total = total - (mass[:, None] * weights * solution).sum()
-        total = total - dt * dt * elastic.bilinear(model, rest, parameters, state.x, weights, after)
+        total = total - dt * dt * elastic.elastic_bilinear(model, rest, parameters, state.x, weights, after)
         if self.contact is not None:
             scale, r = self.contact.stiffness(state.x, rest.node_area)
             total = total - dt * dt * (scale * (weights * r).sum(dim=1) * (after * r).sum(dim=1)).sum()

@@ -56,7 +56,7 @@ class _Potential:
 
     def energy(self, x: Tensor) -> Tensor:
         """Potential [J] () at ``x``."""
-        value = elastic.energy(self.model, self.rest, self.parameters, x) - (self._load * x).sum()
+        value = elastic.elastic_energy(self.model, self.rest, self.parameters, x) - (self._load * x).sum()
         if self.dt_s is not None:
             off = x - self.state.x - self.dt_s * self.state.v
             value = value + (self._mass[:, None] * off * off).sum() / (2.0 * self.dt_s**2)
@@ -81,7 +81,7 @@ class _Potential:
     def factored(self, x: Tensor, *, exact: bool, shift: float = 0.0) -> Factor:
         """The Hessian, factored: ``exact``, or a definite one; ``shift`` [1/s^2] times the mass is added."""
         blocks = self._blocks(x, exact=exact, shift=shift).detach().numpy()
-        hessian = elastic.hessian(self.model, self.rest, self.parameters, x, definite=not exact, blocks=blocks)
+        hessian = elastic.elastic_hessian(self.model, self.rest, self.parameters, x, definite=not exact, blocks=blocks)
         return superlu(hessian)
 
     def direction(self, x: Tensor, residual: Tensor, *, exact: bool, shift: float) -> Tensor:

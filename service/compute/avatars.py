@@ -40,10 +40,10 @@ MOST_WORN = 4
 
 
 class OwnFiles(NamedTuple):
-    """What is stored of the clothes that a character came in: the caches ``made`` of them, and ``stiff``: why others
+    """What is stored of the clothes that a character came in: the ``caches`` of them, and ``stiff``: why others
     are no cloth, by their parts."""
 
-    made: Sequence[Path]
+    caches: Sequence[Path]
     stiff: dict[str, str]
 
 
@@ -58,19 +58,19 @@ class AvatarRecord:
 
 @dataclass(frozen=True)
 class AvatarEntry:
-    """An avatar in service. ``path``: its stored file; ``source``: the file that the user sent; ``told``: its facts for
-    clients; ``owner``: the key that sent it."""
+    """An avatar in service. ``path``: its stored file; ``source``: the file that the user sent; ``facts``: what clients
+    see of it; ``owner``: the key that sent it."""
 
     id: str
     path: Path
     source: Path
-    told: AvatarFacts
+    facts: AvatarFacts
     owner: str | None = None
 
     @cached_property
     def document(self) -> bytes:
         """The JSON text of its ``AvatarInfo``. It is written once, because a character may have thousands of nodes."""
-        return AvatarInfo(id=self.id, **self.told.model_dump()).model_dump_json().encode()
+        return AvatarInfo(id=self.id, **self.facts.model_dump()).model_dump_json().encode()
 
     def own_files(self) -> list[Path]:
         """The caches of the garments that it came in."""
@@ -137,42 +137,42 @@ class Avatars:
             raise NotFound("avatar", expected=f"one of: {known}", got=name[:120], cure=cure)
         return entry
 
-    def add(self, made: Path, source: Path, owner: str | None, own: OwnFiles | None = None) -> AvatarEntry:
-        """Puts the avatar stored at ``made`` in service and returns its entry; both files move into the folder.
+    def add(self, file: Path, source: Path, owner: str | None, own: OwnFiles | None = None) -> AvatarEntry:
+        """Puts the avatar stored at ``file`` in service and returns its entry; both files move into the folder.
 
         ``source`` is the user's file that it was read from. ``own``: its own clothes, if these were made garments.
         """
-        wearer = load_wearer(made, self._body)
+        wearer = load_wearer(file, self._body)
         name = wearer.name
         if owner is not None:
             name = f"{name}-{hashlib.sha256(f'{owner} {wearer.digest}'.encode()).hexdigest()[:8]}"
-        elif (taken := self._entries.get(name)) is not None and taken.told.digest != wearer.digest:
+        elif (namesake := self._entries.get(name)) is not None and namesake.facts.digest != wearer.digest:
             name = f"{name}-{wearer.digest[:8]}"
-        return self._stored(name, made, source, owner, wearer, own)
+        return self._stored(name, file, source, owner, wearer, own)
 
-    def replaced(self, entry: AvatarEntry, made: Path, own: OwnFiles | None = None) -> AvatarEntry:
-        """Puts the file ``made``, in which joints or parts were corrected, in the place of that of ``entry``. Returns
+    def replaced(self, entry: AvatarEntry, file: Path, own: OwnFiles | None = None) -> AvatarEntry:
+        """Puts the file ``file``, in which joints or parts were corrected, in the place of that of ``entry``. Returns
         the new entry."""
-        wearer = load_wearer(made, self._body)
+        wearer = load_wearer(file, self._body)
         self._undress(entry.id)
-        return self._stored(entry.id, made, entry.source, entry.owner, wearer, own)
+        return self._stored(entry.id, file, entry.source, entry.owner, wearer, own)
 
     def _stored(
-        self, name: str, made: Path, source: Path, owner: str | None, wearer: Wearer, own: OwnFiles | None
+        self, name: str, file: Path, source: Path, owner: str | None, wearer: Wearer, own: OwnFiles | None
     ) -> AvatarEntry:
         folder = garment_files.folder_of(self._root, owner)
         folder.mkdir(parents=True, exist_ok=True)
-        garments = [] if own is None else [self._own(path, wearer) for path in own.made]
-        told = facts_of(wearer, name, None if own is None else garments, {} if own is None else own.stiff)
-        entry = AvatarEntry(name, folder / f"{name}.npz", folder / f"{name}.glb", told, owner)
+        garments = [] if own is None else [self._own(path, wearer) for path in own.caches]
+        facts = facts_of(wearer, name, None if own is None else garments, {} if own is None else own.stiff)
+        entry = AvatarEntry(name, folder / f"{name}.npz", folder / f"{name}.glb", facts, owner)
         for path in entry.own_files():
             path.unlink(missing_ok=True)
-        for path, garment in zip([] if own is None else own.made, garments, strict=True):
+        for path, garment in zip([] if own is None else own.caches, garments, strict=True):
             path.replace(folder / f"{own_id(name, garment)}.npz")
-        made.replace(entry.path)
+        file.replace(entry.path)
         if source != entry.source:
             source.replace(entry.source)
-        text = json.dumps({"id": name, "told": entry.told.model_dump(), "owner": owner})
+        text = json.dumps({"id": name, "told": entry.facts.model_dump(), "owner": owner})
         garment_files.replace_text(entry.path.with_suffix(".json"), text)
         self._entries[name] = entry
         return entry
@@ -222,7 +222,7 @@ class Avatars:
     def own(self, name: str) -> tuple[Entry, ...]:
         """The garments that the avatar ``name`` came in, the innermost first; from any thread."""
         entry, dressed = self._entries.get(name) or self.get(name), self._dressed(name)
-        return dressed.own_garments([one.garment for one in entry.told.alive or ()], self._own_entry(entry))
+        return dressed.own_garments([one.garment for one in entry.facts.alive or ()], self._own_entry(entry))
 
     def _own_entry(self, entry: AvatarEntry) -> Callable[[str], Entry]:
         def read(garment_id: str) -> Entry:

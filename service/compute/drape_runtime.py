@@ -167,7 +167,7 @@ class DrapeRuntime(Runtime):
             for garment, feed in zip(missing, feeds, strict=True):
                 await self.threads.aside(worn.add, garment, feed)
 
-    async def made(self, function: Callable[..., Result], *arguments: object, **named: object) -> Result:
+    async def call_apart(self, function: Callable[..., Result], *arguments: object, **named: object) -> Result:
         """Returns ``function(*arguments, **named)``, a function of a module, computed for one client on a thread of
         ``ComputeThreads.apart``, in the process of ``ConstantsProcess.call``."""
         return await self.threads.apart(lambda: self.constants_process.call(function, *arguments, **named))

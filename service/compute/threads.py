@@ -16,7 +16,7 @@ from typing import TypeVar
 
 from service.compute.background import processor_count, thread_steps_back
 from service.errors import Busy, Draining
-from service.watch.watchdog import Lane, say_moved
+from service.watch.watchdog import ThreadLane, say_moved
 
 STREAM_WAIT_S = 0.02
 """What a chunk of a clip may take while there are streams, which share processors with it; one frame is the least."""
@@ -48,9 +48,9 @@ class ComputeThreads:
         self._chunk_most, self._clip_wait_s = chunk_frames, clip_wait_s
         self.hurried = False  # clips end now: the service is being restarted
         self.stream_threads = stream_threads or processor_count()
-        self._for_streams = Lane("streams", self.stream_threads)
-        self._apart = Lane("apart", APART)
-        self._aside = Lane("aside", 1, initializer=thread_steps_back)
+        self._for_streams = ThreadLane("streams", self.stream_threads)
+        self._apart = ThreadLane("apart", APART)
+        self._aside = ThreadLane("aside", 1, initializer=thread_steps_back)
         self.streamed_s = -math.inf  # when a frame of a stream was last begun
         self._frame_done = asyncio.Event()  # of the streams' latest frame
         self._frame_done.set()
@@ -126,9 +126,9 @@ class ComputeThreads:
             nonlocal took_s
             say_moved()
             begun_s = time.perf_counter()
-            found = next(steps, None)
+            result = next(steps, None)
             took_s += time.perf_counter() - begun_s
-            return found
+            return result
 
         def through() -> Result | None:
             last = found = step()
@@ -157,7 +157,7 @@ class SlicedThread:
     """
 
     def __init__(self) -> None:
-        self._executor = Lane("pieces", 1, brief=True)
+        self._executor = ThreadLane("pieces", 1, brief=True)
         self._free = asyncio.Event()
         self._free.set()
 

@@ -1,8 +1,8 @@
 """The frames of a clip of tier exact, each from the one before it, in a process of their own.
 
-``python -m service.exact.block`` reads a pickled ``Block`` on its standard input and prints a line of JSON for each
-frame as it is on disk, ``{"frame": 12, ...}``, or ``{"problem": {kind, name, expected, got, cure}}`` as its last one.
-Frames that are on disk are left as they are.
+``python -m service.exact.block`` reads a pickled ``FrameBlock`` on its standard input and prints a line of JSON for
+each frame as it is on disk, ``{"frame": 12, ...}``, or ``{"problem": {kind, name, expected, got, cure}}`` as its last
+one. Frames that are on disk are left as they are.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from service.exact.clip_folder import read_frame, write_frame
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class FrameBlock:
     """The frames of a clip, with the ``poses`` (n, 24, 3) [rad] and the ``starts`` [m] (n, V, 3) that they are given,
     relative to the root; ``rest`` [m] (V, 3) is a drape of the T-pose. They go to ``folder``."""
 
@@ -43,7 +43,7 @@ class Block:
     starts: np.ndarray
 
 
-def run_block(block: Block, say: Any = print) -> None:
+def run_block(block: FrameBlock, say: Any = print) -> None:
     """Computes the frames of ``block`` that are not on disk, one after the other, and calls ``say`` with the figures of
     each."""
     sheet, before = None, None

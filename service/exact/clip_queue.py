@@ -25,7 +25,7 @@ from drape.stages.batch import PoseInput
 from service import errors
 from service.compute.processes import ended, running
 from service.exact import clip_folder as on_disk
-from service.exact.block import Block
+from service.exact.block import FrameBlock
 from service.exact.clip_folder import AcceptedClip, Lock
 
 if TYPE_CHECKING:
@@ -51,12 +51,12 @@ class Work:
 
 @dataclass(eq=False)
 class ClipJob:
-    """One clip and how far it is. ``told``: the figures of each finished frame, by its number."""
+    """One clip and how far it is. ``figures`` of each finished frame, by its number."""
 
     accepted: AcceptedClip
     folder: Path
     state: Literal["queued", "running", "done", "failed", "cancelled"] = "queued"
-    told: dict[int, dict[str, Any]] = field(default_factory=dict)
+    figures: dict[int, dict[str, Any]] = field(default_factory=dict)
     problem: dict[str, Any] | None = None
     stage: str | None = None
     lock: Lock | None = None
@@ -70,7 +70,7 @@ class ClipJob:
     @property
     def share(self) -> float:
         """The share of the frames that are on disk."""
-        return len(self.told) / self.accepted.frames
+        return len(self.figures) / self.accepted.frames
 
 
 class ExactClips:
@@ -102,8 +102,8 @@ class ExactClips:
                 continue
             job = self._jobs[accepted.id] = ClipJob(accepted, folder, problem=accepted.problem, lock=lock)
             frames = ((number, on_disk.read_frame(folder, number)) for number in range(accepted.frames))
-            job.told = {number: kept[1] for number, kept in frames if kept is not None}
-            if job.problem is not None or len(job.told) == accepted.frames:
+            job.figures = {number: kept[1] for number, kept in frames if kept is not None}
+            if job.problem is not None or len(job.figures) == accepted.frames:
                 job.state = "done" if job.problem is None else "failed"
             else:
                 self._queue.put_nowait(job)
@@ -243,7 +243,7 @@ class ExactClips:
 
     async def _failed(self, job: ClipJob, problem: dict[str, Any]) -> None:
         """Keeps the ``problem`` of ``job``, and nothing else of it."""
-        job.problem, job.state, job.told = problem, "failed", {}
+        job.problem, job.state, job.figures = problem, "failed", {}
 
         def clear() -> None:
             on_disk.clear_clip(job.folder)
@@ -266,7 +266,7 @@ class ExactClips:
         model = self._runtime.on(work.plan.scene).body
         job.stage = "frames"
         made = (entry.garment, cloth, model, work.clip.betas, rest[0], job.folder)
-        await self._computed(job, Block(*made, work.clip.poses, starts))
+        await self._computed(job, FrameBlock(*made, work.clip.poses, starts))
 
     async def _starts(self, plan: Plan, clip: PoseInput) -> np.ndarray:
         """The drapes [m] (F, V, 3) that the frames of ``clip`` start from, relative to the roots."""
@@ -276,7 +276,7 @@ class ExactClips:
             except errors.Busy:  # streams and other clips come first
                 await asyncio.sleep(WAIT_S)
 
-    async def _computed(self, job: ClipJob, block: Block) -> None:
+    async def _computed(self, job: ClipJob, block: FrameBlock) -> None:
         """Has ``block`` computed by a process of its own."""
         memory, most_s = str(self._settings.intake_memory_mb), FRAME_S
         write = partial(pickle.dump, block)
@@ -286,7 +286,7 @@ class ExactClips:
                     said = json.loads(line)
                     if "problem" in said:
                         raise _refusal(said["problem"])
-                    job.told[said.pop("frame")] = said
+                    job.figures[said.pop("frame")] = said
                 await asyncio.wait_for(ended(process), most_s)
         except TimeoutError:
             expected = f"a frame within {most_s:g} s"
@@ -301,7 +301,7 @@ class ExactClips:
 
 def _next(job: ClipJob) -> int:
     """The frame that ``job`` is at."""
-    return next((number for number in range(job.accepted.frames) if number not in job.told), job.accepted.frames - 1)
+    return next((number for number in range(job.accepted.frames) if number not in job.figures), job.accepted.frames - 1)
 
 
 def _refusal(said: dict[str, str]) -> DrapeError:

@@ -138,12 +138,12 @@ async def change_avatar(
         raise NotFound("avatar", expected="one whose file is stored", got="none", cure="Send the character again.")
     if not (asked.joints or asked.parts):
         raise InputError("avatar", expected="joints or parts", got="neither", cure='Send {"parts": {"NAME": "hair"}}.')
-    kept = entry.told.joints if asked.joints or entry.told.found_by == TOLD else {}
-    parts = {part.name: part.kind for part in entry.told.parts if part.sure == SURE}
-    alive = entry.told.alive is not None
+    kept = entry.facts.joints if asked.joints or entry.facts.found_by == TOLD else {}
+    parts = {part.name: part.kind for part in entry.facts.parts if part.sure == SURE}
+    alive = entry.facts.alive is not None
     told = json.dumps({"joints": {**kept, **asked.joints}, "parts": {**parts, **asked.parts}, "alive": alive})
     pieces = _pieces(entry.source)
-    job = await state.uploads.submit(entry.told.name, "glb", pieces, told, client, kind="avatar", replaces=entry.id)
+    job = await state.uploads.submit(entry.facts.name, "glb", pieces, told, client, kind="avatar", replaces=entry.id)
     response.headers["Location"] = f"/jobs/{job.id}"
     return job_info(job)
 
@@ -187,7 +187,9 @@ async def avatar_covered(
         wearer, left = await undressed_avatar(avatar_id, scene, state, client)
         surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
         cloth = [(worn.garment.vertices, worn.garment.faces) for worn in scene.layers]
-        covered, of_file = await state.runtime.made(covered_in_file, entry.path, *surface, cloth, left.off, margin_m)
+        covered, of_file = await state.runtime.call_apart(
+            covered_in_file, entry.path, *surface, cloth, left.off, margin_m
+        )
     return CoveredFaces(
         deeper_m=DEEPER_M,
         share=round(float(covered.mean()), 4),
@@ -235,7 +237,7 @@ async def avatar_bare(avatar_id: str, state: StateHere, client: ClientHere, clot
         if not left.added:
             cure = "Ask only where covered tells of it."
             raise NotFound("bare", expected="skin that comes to light", got="none", cure=cure)
-        made = await state.runtime.made(bare_skin, entry.path, wearer, left)
+        made = await state.runtime.call_apart(bare_skin, entry.path, wearer, left)
     return Response(made, media_type=GLB)
 
 
@@ -259,9 +261,9 @@ async def avatar_preview(
     async def made() -> bytes:
         wearer = await state.wearer(avatar_id, client)
         sitter = Sitter(wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64))
-        return await state.runtime.made(portrait, sitter, None, size)
+        return await state.runtime.call_apart(portrait, sitter, None, size)
 
-    made_of = f"{entry.told.digest}-{size}".encode()
+    made_of = f"{entry.facts.digest}-{size}".encode()
     return await state.previews.answer(made_of, made, asked=request.headers, kind=PNG, packed=False)
 
 

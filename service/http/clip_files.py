@@ -103,13 +103,12 @@ def on_rig_file(
     if joints is None:
         add_dressed(file, nodes, layers, moves, wearer, rig, quantised=quantised)
     else:
-        motion, made = rig_motion(moves, wearer, rig.skeleton), []
-        for one in layers:
-            draped = DrapedClip(one.vertices, motion)
-            made.append(
-                Jointed(one.garment.surface, distil(one.garment, [draped], wearer, rig, count=joints), one.colour)
-            )
-        add_clip(file, made, [one.vertices for one in layers], motion, nodes, wearer.scale)
+        motion, jointed = rig_motion(moves, wearer, rig.skeleton), []
+        for layer in layers:
+            draped = DrapedClip(layer.vertices, motion)
+            distilled = distil(layer.garment, [draped], wearer, rig, count=joints)
+            jointed.append(Jointed(layer.garment.surface, distilled, layer.colour))
+        add_clip(file, jointed, [layer.vertices for layer in layers], motion, nodes, wearer.scale)
     if left.added:
         body, cloth = wearer.body, [(one.garment.vertices, one.garment.faces) for one in layers]
         unseen = covered_faces(body.v_template, body.faces, cloth, margin_m=UNSEEN_M)

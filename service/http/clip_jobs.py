@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class ClipJob:
+class RequestedClip:
     """A clip of one client: the ``plan`` and the ``clip`` that ``asked`` came to. ``turns`` (F, N, 4): the quaternions
     of an avatar's own rig, xyzw, where these were sent."""
 
@@ -118,7 +118,7 @@ class _Frames(StreamingResponse):
             await super().__call__(scope, receive, send)
 
 
-async def streamed_answer(job: ClipJob, state: State, kind: str) -> StreamingResponse:
+async def streamed_answer(job: RequestedClip, state: State, kind: str) -> StreamingResponse:
     """The frames of ``job``, binary or PC2.
 
     The first chunk is computed before the head is sent, so that a refusal is still an answer of its own.
@@ -136,7 +136,7 @@ async def streamed_answer(job: ClipJob, state: State, kind: str) -> StreamingRes
     return _Frames(frames_sent, kind, headers | {"Content-Length": str(size)})
 
 
-def _streamed_size(job: ClipJob) -> int:
+def _streamed_size(job: RequestedClip) -> int:
     """Bytes of all frames of ``job`` in a binary answer."""
     scene, frames = job.plan.shown, len(job.clip.poses)
     if job.asked.geometry == "jets":
@@ -144,7 +144,7 @@ def _streamed_size(job: ClipJob) -> int:
     return frames * (12 * scene.vertex_count + (24 if job.asked.origin == "root" else 0))
 
 
-def _streamed_headers(job: ClipJob) -> dict[str, str]:
+def _streamed_headers(job: RequestedClip) -> dict[str, str]:
     """Headers about the frames of a streamed answer."""
     scene, frames = job.plan.shown, len(job.clip.poses)
     if job.asked.geometry == "jets":
@@ -160,7 +160,7 @@ async def _after(first: bytes, rest: AsyncGenerator[bytes]) -> AsyncGenerator[by
             yield piece
 
 
-async def _pieces(job: ClipJob, state: State, token: str, kind: str) -> AsyncGenerator[bytes]:
+async def _pieces(job: RequestedClip, state: State, token: str, kind: str) -> AsyncGenerator[bytes]:
     """The bytes of the answer; holds a place for a clip meanwhile."""
     tail: list[bytes] = []
     first_root = None

@@ -19,7 +19,7 @@ from drape.stages.batch import Batch, PoseInput, motion_arrays, shape_array
 from drape.stages.placing import Placed
 from drape.stages.scene import Outfit, layer_list
 from drape.stages.tiers import EXACT
-from drape.wire.clips import of_rig, unpack_clip
+from drape.wire.clip_message import of_rig, unpack_clip
 from drape.wire.jets import message_bytes
 from service.compute.threads import BRIEF_BYTES
 from service.errors import NotAcceptable, TooSlow
@@ -48,7 +48,14 @@ from service.http.clip_files import (
     pack_scene,
     point_cache,
 )
-from service.http.clip_jobs import ClipJob, floor_headers, jets_response, plan_headers, quality_headers, streamed_answer
+from service.http.clip_jobs import (
+    RequestedClip,
+    floor_headers,
+    jets_response,
+    plan_headers,
+    quality_headers,
+    streamed_answer,
+)
 from service.http.json_body import (
     check_marks,
     clip_marks,
@@ -106,7 +113,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     plan = state.runtime.plan(scene, asked, messages=asked.geometry == "jets")
     if asked.past is not None:
         clip = state.continuations.get(asked.past, client.name).followed_by(plan, clip, asked.fps)
-    job = ClipJob(plan, clip, asked, client, turns)
+    job = RequestedClip(plan, clip, asked, client, turns)
     if asked.streamed:
         return await streamed_answer(job, state, kind)
     check_clip_size(job, kind, state.runtime.settings)
@@ -147,7 +154,7 @@ def _offered(asked: schemas.ClipOptions) -> tuple[str, ...]:
     return (BINARY, PC2) if asked.streamed else FILES
 
 
-async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str, str], state: State) -> Response:
+async def _clip_answer(job: RequestedClip, draped: Batch, kind: str, headers: dict[str, str], state: State) -> Response:
     """The vertices of ``draped`` as ``kind``."""
     scene, asked = job.plan.shown, job.asked
     apart, placed = state.runtime.threads.apart, await _of_array(draped.vertices, draped.placed, asked.origin)
@@ -156,7 +163,7 @@ async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str
         stored = (await state.avatar(asked.avatar, job.client)).path
         on_rig = partial(on_rig_file, fps=asked.fps, quantised=asked.quantised, joints=asked.joints)
         dressed_layers = await apart(dress_scene, scene, placed)
-        file = await state.runtime.made(on_rig, dressed_layers, wearer, stored, job.clip, job.turns, left)
+        file = await state.runtime.call_apart(on_rig, dressed_layers, wearer, stored, job.clip, job.turns, left)
         return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
     if kind == GLB:
         file = await apart(garment_file, scene, placed, asked, job.clip, state.runtime.on(scene).body)
@@ -170,7 +177,7 @@ async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str
         if kind == USDA:
             pieces = usda_pieces(layers, asked.fps, point=point)
             return StreamingResponse(state.sliced_thread.each(pieces), media_type=kind, headers=headers)
-        return Response(await state.runtime.made(pack_scene, layers, point, asked.fps, kind), 200, headers, kind)
+        return Response(await state.runtime.call_apart(pack_scene, layers, point, asked.fps, kind), 200, headers, kind)
     worn = layer_list(scene) if isinstance(scene, Outfit) else None
     return await _vertices_answer(placed, asked.fps, kind, state, headers=headers, worn=worn)
 
@@ -293,7 +300,7 @@ def check_rig(asked: schemas.ClipOptions, kind: str) -> None:
         raise InputError("rig", expected="garments alone, in the world of the rig", got=got, cure=cure)
 
 
-def check_clip_size(job: ClipJob, kind: str, settings: Settings) -> None:
+def check_clip_size(job: RequestedClip, kind: str, settings: Settings) -> None:
     """Refuses (``TooLarge``) the clip of ``job`` where its answer as ``kind`` would be too large."""
     scene, frames = job.plan.shown, len(job.clip.poses)
     if job.asked.geometry == "jets":

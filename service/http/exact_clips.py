@@ -14,12 +14,12 @@ from drape.errors import InputError, Unavailable
 from drape.exact.newton import TOLERANCE
 from drape.stages.batch import Batch, Layer, PoseInput, shape_array
 from drape.stages.tiers import EXACT
-from drape.wire.clips import pack_clip, unpack_clip
+from drape.wire.clip_message import pack_clip, unpack_clip
 from drape.wire.options import Advanced
 from service.exact.clip_queue import ClipJob as ExactJob
 from service.exact.clip_queue import Work
 from service.http import schemas
-from service.http.clip_jobs import ClipJob
+from service.http.clip_jobs import RequestedClip
 
 if TYPE_CHECKING:
     from service.guard.key_file import Client
@@ -66,7 +66,7 @@ async def submitted(asked: schemas.ClipOptions, clip: PoseInput, state: State, c
     return await asyncio.shield(state.exact.submit(entry.id, client.name, message, len(clip.poses)))
 
 
-async def _read(message: bytes, state: State, client: Client) -> ClipJob:
+async def _read(message: bytes, state: State, client: Client) -> RequestedClip:
     """What ``message`` asks for; refuses (``NotFound``) a garment or an avatar that is gone."""
     text, poses, trans = unpack_clip(message)
     asked = schemas.ClipOptions.model_validate_json(text)
@@ -75,7 +75,7 @@ async def _read(message: bytes, state: State, client: Client) -> ClipJob:
     assert trans is not None
     clip = PoseInput(poses, trans, betas, np.arange(len(poses)) / asked.fps)
     update = START | {"resolution": asked.resolution}
-    return ClipJob(state.runtime.plan(scene, asked.model_copy(update=update)), clip, asked, client)
+    return RequestedClip(state.runtime.plan(scene, asked.model_copy(update=update)), clip, asked, client)
 
 
 def opener(state: State) -> Callable[[bytes, str | None], Awaitable[Work]]:
@@ -90,7 +90,7 @@ def opener(state: State) -> Callable[[bytes, str | None], Awaitable[Work]]:
     return opened
 
 
-async def finished(job: ExactJob, state: State, client: Client) -> tuple[ClipJob, Batch, dict[str, str]]:
+async def finished(job: ExactJob, state: State, client: Client) -> tuple[RequestedClip, Batch, dict[str, str]]:
     """Returns the request of ``job``, its finished frames, and the headers of the answer. Refuses (``Unavailable``) a
     clip that is not done."""
     if job.state != "done":
@@ -104,8 +104,8 @@ async def finished(job: ExactJob, state: State, client: Client) -> tuple[ClipJob
     headers = {
         "X-Drape-Model": state.runtime.engine.manifest.digest[:16],
         "X-Drape-Tier": EXACT,
-        "X-Drape-Force-Left": f"{max(frame['force_share'] for frame in job.told.values()):.5f}",
-        "X-Drape-Crossings": str(max(frame["crossings"] for frame in job.told.values())),
+        "X-Drape-Force-Left": f"{max(frame['force_share'] for frame in job.figures.values()):.5f}",
+        "X-Drape-Crossings": str(max(frame["crossings"] for frame in job.figures.values())),
     }
     return asked_for, batch, headers
 
@@ -113,7 +113,7 @@ async def finished(job: ExactJob, state: State, client: Client) -> tuple[ClipJob
 def exact_job_info(job: ExactJob) -> schemas.JobInfo:
     """The answer about ``job``."""
     accepted = job.accepted
-    told = [schemas.FrameTold(frame=number, **figures) for number, figures in sorted(job.told.items())]
+    told = [schemas.FrameTold(frame=number, **figures) for number, figures in sorted(job.figures.items())]
     about = {"stage": job.stage, "share": round(job.share, 4), "problem": job.problem, "frames": accepted.frames}
     notes = [] if job.state != "done" else [_unsolved(frame) for frame in told if _is_unsolved(frame)]
     return schemas.JobInfo(id=accepted.id, name=accepted.name, state=job.state, told=told, notes=notes, **about)

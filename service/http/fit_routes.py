@@ -63,7 +63,7 @@ async def body_shape(body_id: str, request: Request, state: StateHere, client: C
     state.check_slot()
     asked = validate_document(ShapeRequest, read_document(await json_text(request))).model_dump(exclude_none=True)
     with state.access.using(client, "clips"), state.slot():
-        found = await runtime.made(shape_of_measures, runtime.body, asked)
+        found = await runtime.call_apart(shape_of_measures, runtime.body, asked)
     reached = Measures._asdict(found.reached)
     return ShapeDocument.model_validate({"betas": found.betas.tolist(), "measures": reached, "missed": found.missed})
 
@@ -93,7 +93,7 @@ async def garment_fit(garment_id: str, request: Request, state: StateHere, clien
     with state.access.using(client, "clips"), state.slot():
         draped = await runtime.drape(plan, clip)
         garment, fabric = plan.scene.layers[0].garment, plan.fabrics[0]
-        report = await runtime.made(fit_report, garment, runtime.body, _worn(clip, draped), fabric=fabric)
+        report = await runtime.call_apart(fit_report, garment, runtime.body, _worn(clip, draped), fabric=fabric)
     if kind == BINARY:
         rows = np.stack(_of_delivered(report, entry), axis=1)
         return binary_answer(rows, state.sliced_thread, {"X-Drape-Vertices": str(len(rows))})
@@ -126,19 +126,19 @@ def _worn(clip: PoseInput, draped: Batch) -> JudgedDrape:
     return JudgedDrape(clip.betas, vertices[0], *posed)
 
 
-def _of_delivered(found: FitReport, entry: Entry) -> list[np.ndarray]:
+def _of_delivered(report: FitReport, entry: Entry) -> list[np.ndarray]:
     """Strain along warp and weft and pressure of the vertices that are drawn, float32."""
     count, drawn = entry.garment.vertex_count, entry.garment.drawn
     if drawn is None:
-        return [values[:count].astype(np.float32) for values in found.tension]
-    return [(drawn.shares(count) @ values[:count]).astype(np.float32) for values in found.tension]
+        return [values[:count].astype(np.float32) for values in report.tension]
+    return [(drawn.shares(count) @ values[:count]).astype(np.float32) for values in report.tension]
 
 
-def _document(found: FitReport, entry: Entry, *, vertices: bool) -> dict[str, Any]:
+def _document(report: FitReport, entry: Entry, *, vertices: bool) -> dict[str, Any]:
     """The fields of a ``FitDocument``."""
-    ease = {name: {**girths._asdict(), "ease_m": girths.ease_m} for name, girths in found.ease.items()}
-    regions = {name: region._asdict() for name, region in found.regions.items()}
-    document: dict[str, Any] = {"garment": entry.id, "words": found.words, "ease": ease, "regions": regions}
+    ease = {name: {**girths._asdict(), "ease_m": girths.ease_m} for name, girths in report.ease.items()}
+    regions = {name: region._asdict() for name, region in report.regions.items()}
+    document: dict[str, Any] = {"garment": entry.id, "words": report.words, "ease": ease, "regions": regions}
     if vertices:
-        document |= dict(zip(found.tension._fields, _of_delivered(found, entry), strict=True))
+        document |= dict(zip(report.tension._fields, _of_delivered(report, entry), strict=True))
     return document

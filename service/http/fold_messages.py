@@ -11,7 +11,7 @@ from drape.engine.records import HASH
 from drape.garment.bound import Drawer
 from drape.garment.cache import Garment
 from drape.live.fold_records import fold_records
-from drape.wire.folds import pack_folds, with_hung
+from drape.wire.folds_message import pack_folds, with_hung
 from drape.wire.messages import WIRE_VERSION
 from drape.wire.options import FabricChoice, FabricNumbers
 from service.http.json_body import read_document, validate_document

@@ -13,8 +13,8 @@ from pydantic import BaseModel, Field
 from drape.errors import BodyError, InputError, NotFound, TooLarge
 from drape.files.looks import media_type
 from drape.garment.cache import Garment
-from drape.garment.portrait import at_rest, portrait
-from drape.wire.meshes import pack_mesh
+from drape.garment.portrait import portrait, sitter_at_rest
+from drape.wire.mesh_messages import pack_mesh
 from drape.wire.messages import WIRE_VERSION
 from drape.wire.options import Advanced, DrapeOptions, Resolution, SizeName
 from service.errors import Forbidden, NotAcceptable, TooSlow
@@ -205,7 +205,7 @@ async def garment_folds(
     (own,), worn, body = scene.layers, plan.scene.layers[0].garment, runtime.on(scene).body
     hung = own.garment.drawer if asked.drawn and own.garment.drawn is not None and worn.drawn is None else None
     folded = worn, body, plan.fabrics[0], queried_shape(asked.betas, body), asked.coarse, hung
-    make = partial(runtime.made, pack_message, *folded)
+    make = partial(runtime.call_apart, pack_message, *folded)
     return await state.fold_messages.answer(message_key(*folded), make, asked=request.headers, kind=kind)
 
 
@@ -230,7 +230,7 @@ async def garment_preview(
 
     def drawn() -> bytes:
         skin = None if alone else (body.rest_vertices(np.zeros(body.shape_count)), body.faces.astype(np.int64))
-        return state.runtime.constants_process.call(portrait, at_rest(garment), skin, size)
+        return state.runtime.constants_process.call(portrait, sitter_at_rest(garment), skin, size)
 
     make = partial(state.runtime.threads.apart, drawn)
     drawn_of = f"{garment.digest}-{alone}-{size}".encode()

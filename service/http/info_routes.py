@@ -15,7 +15,7 @@ from drape.cloth.fabric_table import FABRICS
 from drape.errors import BodyError, InputError, NotFound, Unavailable
 from drape.export.glb_body import add_body, heaviest_bones
 from drape.export.glb_file import GlbFile
-from drape.wire.meshes import pack_body
+from drape.wire.mesh_messages import pack_body_mesh
 from drape.wire.messages import WIRE_VERSION
 from service.errors import Forbidden, NotAcceptable, Unauthorized
 from service.guard.tickets import LIFE_S
@@ -148,7 +148,7 @@ async def body_mesh(body_id: str, request: Request, state: StateHere, betas: Bet
 
 def _body_message(body: BodyModel, shape: np.ndarray) -> bytes:
     rest, joints = body.rest_vertices(shape), body.rest_joints(shape)
-    return packed_text(pack_body(rest, body.faces, joints, *heaviest_bones(body)))
+    return packed_text(pack_body_mesh(rest, body.faces, joints, *heaviest_bones(body)))
 
 
 @router.get("/motions")

@@ -64,12 +64,12 @@ def install_document(app: FastAPI) -> None:
     app.openapi = document
 
 
-def _complete(made: dict[str, Any]) -> None:
-    named = made["components"]["schemas"]
+def _complete(document: dict[str, Any]) -> None:
+    named = document["components"]["schemas"]
     for name in _OURS_OF_FASTAPI:
         named.pop(name, None)
     named[Problem.__name__] = Problem.model_json_schema()
-    for operation in (one for path in made["paths"].values() for one in path.values()):
+    for operation in (one for path in document["paths"].values() for one in path.values()):
         said = operation["responses"]
         if JSON in said.get("422", {}).get("content", {}):  # FastAPI's own, wherever there are parameters
             del said["422"]

@@ -21,4 +21,4 @@ async def undressed_avatar(avatar_id: str, scene: Scene, state: State, client: C
     worn = [one.garment for one in scene.layers]
     cloth = [(one.vertices, one.faces) for one in worn]
     halves = halves_of(ours, state.runtime.body)
-    return wearer, await state.runtime.made(undressed, wearer, own_faces(wearer, worn), cloth, halves)
+    return wearer, await state.runtime.call_apart(undressed, wearer, own_faces(wearer, worn), cloth, halves)

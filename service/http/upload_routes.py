@@ -100,9 +100,9 @@ def _name_and_format(name: str | None, file_format: str | None, content_type: st
 
 
 def job_info(job: Job) -> schemas.JobInfo:
-    made = job.made[-1] if job.made else None
+    made = job.results[-1] if job.results else None
     fields = {"stage": job.stage, "share": round(job.share, 2), job.kind: made, "problem": job.problem}
     fields |= {"notes": list(job.notes), "wearer": job.wearer}
     if job.kind == "garment":
-        fields["garments"] = list(job.made)
+        fields["garments"] = list(job.results)
     return schemas.JobInfo(id=job.id, name=job.name, state=job.state, **fields)

@@ -22,11 +22,11 @@ import numpy as np
 
 from drape import __version__
 from drape.errors import DrapeError, InputError, TooLarge
-from drape.wire.state import PIECE_BYTES, join_state, split_state
+from drape.wire.state_pieces import PIECE_BYTES, join_state, split_state
 from service.errors import Busy, Draining, TooSlow, Unauthorized, close_reason, rule_for
 from service.guard.limits import HELD_BYTES
 from service.replicas.memory_codec import decode_value, encode_value
-from service.stream.session import SEND_S, Session
+from service.stream.session import SEND_S, StreamSession
 
 if TYPE_CHECKING:
     from fastapi import WebSocket
@@ -63,7 +63,7 @@ class Handover:
         self._classes = runtime.memory_classes
         self._held = 0
 
-    def state(self, session: Session, client: Client, tier: int, *, now_s: float | None = None) -> bytes:
+    def state(self, session: StreamSession, client: Client, tier: int, *, now_s: float | None = None) -> bytes:
         """Returns the signed state of ``session``, while streams are held to ``tier``. Empty if no other process could
         read it, or if it is longer than ``STATE_BYTES``."""
         if not self._tickets.shared:
@@ -104,7 +104,7 @@ class Handover:
         kept = decode_value(raw[start:], self._classes, _plans(plan, steps))
         return Brought({(stage, owner): memory for stage, owner, memory in kept}, head["dropped"], head["tier"])
 
-    async def send_away(self, socket: WebSocket, session: Session, client: Client, tier: int) -> None:
+    async def send_away(self, socket: WebSocket, session: StreamSession, client: Client, tier: int) -> None:
         """Sends the state of ``session`` and the address to go to, and closes the connection. The client has
         ``SEND_S`` to take it."""
         reason = Draining()
@@ -125,7 +125,7 @@ class Handover:
             raise TooSlow("stream", expected=expected, got="a full connection", cure=cure) from None
         self._runtime.metrics.moved.labels(str(bool(pieces)).lower()).inc()
 
-    def resume(self, pieces: Incoming, session: Session, client: Client) -> Brought | None:
+    def resume(self, pieces: Incoming, session: StreamSession, client: Client) -> Brought | None:
         """Lets ``session`` go on from the state in ``pieces`` and returns that; None if there is none, or if it does
         not fit."""
         if not pieces.messages:

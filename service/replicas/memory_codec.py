@@ -33,25 +33,25 @@ def encode_value(value: Any, classes: Sequence[type], constants: Sequence[object
         arrays.extend(raw + b"\0" * (-len(raw) % _ALIGNED))
         return start
 
-    def tree(one: Any) -> Any:
-        if isinstance(one, np.ndarray | np.generic):
-            array = np.asarray(one)
+    def tree(part: Any) -> Any:
+        if isinstance(part, np.ndarray | np.generic):
+            array = np.asarray(part)
             transposed = array.flags.f_contiguous and not array.flags.c_contiguous
             kept = array.T if transposed else array
             return {"array": [array.dtype.str, kept.shape, put(kept.tobytes()), transposed]}
-        if one is None or isinstance(one, bool | int | float | str):
-            return one
-        if isinstance(one, bytes):
-            return {"bytes": [put(one), len(one)]}
-        if type(one) is tuple:
-            return {"tuple": [tree(item) for item in one]}
+        if part is None or isinstance(part, bool | int | float | str):
+            return part
+        if isinstance(part, bytes):
+            return {"bytes": [put(part), len(part)]}
+        if type(part) is tuple:
+            return {"tuple": [tree(item) for item in part]}
         for place, constant in enumerate(constants):
-            if type(one) is type(constant) and one == constant:
+            if type(part) is type(constant) and part == constant:
                 return {"constant": place}
-        if type(one) in names:
-            parts = {name: tree(getattr(one, name)) for name in _fields(type(one))}
-            return {"class": names[type(one)], "fields": parts}
-        raise TypeError(f"{type(one).__name__} is not among what can be kept")
+        if type(part) in names:
+            fields = {name: tree(getattr(part, name)) for name in _fields(type(part))}
+            return {"class": names[type(part)], "fields": fields}
+        raise TypeError(f"{type(part).__name__} is not among what can be kept")
 
     head = json.dumps(tree(value)).encode()
     head += b" " * (-(len(head) + _LENGTH.size) % _ALIGNED)
@@ -63,13 +63,13 @@ def decode_value(raw: bytes, classes: Sequence[type], constants: Sequence[object
     known = {_name(kind): kind for kind in classes}
     start = _LENGTH.size + _LENGTH.unpack_from(raw)[0]
 
-    def value(one: Any) -> Any:
-        if not isinstance(one, Mapping):
-            return one
-        match one:
+    def value(part: Any) -> Any:
+        if not isinstance(part, Mapping):
+            return part
+        match part:
             case {"array": [dtype, shape, at, transposed]}:
-                found = np.ndarray(shape, np.dtype(dtype), raw, start + at).copy()
-                return found.T if transposed else found[()] if not shape else found
+                array = np.ndarray(shape, np.dtype(dtype), raw, start + at).copy()
+                return array.T if transposed else array[()] if not shape else array
             case {"bytes": [at, size]}:
                 return raw[start + at : start + at + size]
             case {"tuple": items}:
@@ -77,11 +77,11 @@ def decode_value(raw: bytes, classes: Sequence[type], constants: Sequence[object
             case {"constant": place}:
                 return constants[place]
             case {"class": name, "fields": parts} if name in known and set(parts) == set(_fields(known[name])):
-                return known[name](**{key: value(part) for key, part in parts.items()})
+                return known[name](**{key: value(field) for key, field in parts.items()})
         raise InputError(
             "state",
             expected="what this release remembers of a stream",
-            got=str(one.get("class", "something else"))[:120],
+            got=str(part.get("class", "something else"))[:120],
             cure="Open the stream without it.",
         )
 

@@ -27,7 +27,7 @@ from drape.geometry import jets
 from drape.inference.graph_names import PACKED
 from drape.stages.batch import shape_array
 from drape.stages.network import Network
-from drape.wire.folds import pack_folds
+from drape.wire.folds_message import pack_folds
 from drape.wire.options import DrapeOptions
 from service.settings import built
 from service.stream.opening import opening_answer
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from fastapi import FastAPI
 
     from drape.artifacts import Manifest
-    from drape.body.pose_support import PoseSupport
+    from drape.body.pose_distance import PoseSupport
     from drape.stages.plan import Plan
     from service.compute.drape_runtime import DrapeRuntime
 
@@ -176,7 +176,7 @@ def _add_network(folder: Folder, plan: Plan) -> dict[str, str]:
 
 
 def _add_poses(folder: Folder, support: PoseSupport | None) -> dict[str, Any] | None:
-    """Writes the poses of training, int8, row after row of each part (``drape.body.pose_support``)."""
+    """Writes the poses of training, int8, row after row of each part (``drape.body.pose_distance``)."""
     if support is None:
         return None
     parts = (support.legs, support.trunk, support.tilt)

@@ -18,12 +18,12 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from drape.errors import DrapeError, InputError
 from drape.stages.batch import check_places, check_poses
 from drape.wire import messages as wire
-from drape.wire.rig_poses import unpack_rig_pose
+from drape.wire.rig_pose_message import unpack_rig_pose
 from service.errors import Draining, InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
 from service.guard.access import OFFER
 from service.state import State
 from service.stream.opening import first_text, opening_answer, read_opening, text_of
-from service.stream.session import ACK_S, CREDIT, SEND_S, Session
+from service.stream.session import ACK_S, CREDIT, SEND_S, StreamSession
 
 if TYPE_CHECKING:
     from service.guard.key_file import Client
@@ -77,7 +77,7 @@ async def _converse(socket: WebSocket, state: State, client: Client) -> None:
     state.streams.check_place()
     with state.handover.incoming() as pieces:
         asked = await read_opening(await first_text(socket, pieces), state, client)
-        session = Session(
+        session = StreamSession(
             asked.plan,
             asked.betas,
             CREDIT,
@@ -113,7 +113,7 @@ async def _converse(socket: WebSocket, state: State, client: Client) -> None:
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def _read(socket: WebSocket, session: Session, state: State, client: Client) -> None:
+async def _read(socket: WebSocket, session: StreamSession, state: State, client: Client) -> None:
     while True:
         message = await socket.receive()
         payload = message.get("bytes")
@@ -125,7 +125,7 @@ async def _read(socket: WebSocket, session: Session, state: State, client: Clien
         state.streams.wake()
 
 
-def _take(payload: bytes, session: Session, metrics: Metrics) -> None:
+def _take(payload: bytes, session: StreamSession, metrics: Metrics) -> None:
     """Puts a pose into the mailbox or takes an acknowledgement."""
     if wire.message_kind(payload) == wire.ACK:
         way_s = session.acknowledge(wire.unpack_ack(payload))
@@ -146,7 +146,7 @@ def _take(payload: bytes, session: Session, metrics: Metrics) -> None:
     session.put(pose)
 
 
-async def _send(socket: WebSocket, session: Session, state: State, client: Client) -> None:
+async def _send(socket: WebSocket, session: StreamSession, state: State, client: Client) -> None:
     while not (session.leaving and session.settled and session.failure is None):
         await session.news.wait()
         session.news.clear()
@@ -171,7 +171,7 @@ async def _send(socket: WebSocket, session: Session, state: State, client: Clien
     await state.handover.send_away(socket, session, client, state.streams.tier)
 
 
-async def _watch(session: Session, state: State) -> None:
+async def _watch(session: StreamSession, state: State) -> None:
     """Raises when the client neither acknowledges nor sends."""
     idle_s = state.runtime.settings.stream_idle_s
     while True:

@@ -16,7 +16,7 @@ from drape.stages.encode import shown_message
 from drape.stages.plan import Plan
 from drape.stages.stage import carried
 from drape.wire import messages as wire
-from drape.wire.rig_poses import RigPose
+from drape.wire.rig_pose_message import RigPose
 
 if TYPE_CHECKING:
     from opentelemetry.trace import Link
@@ -54,7 +54,7 @@ class Waiting:
 
 
 @dataclass(eq=False)
-class Session:
+class StreamSession:
     """One client's stream.
 
     ``steps``: ``plan`` as each tier holds it, the one that computes least first. ``memories``: what the stages keep of

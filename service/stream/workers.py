@@ -23,7 +23,7 @@ import numpy as np
 
 from drape.errors import DrapeError, NotFound
 from drape.stages.batch import PoseInput
-from drape.wire.rig_poses import RigPose
+from drape.wire.rig_pose_message import RigPose
 from service.errors import Busy
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from drape.stages.scene import Entry
     from service.compute.drape_runtime import DrapeRuntime
     from service.compute.threads import SlicedThread
-    from service.stream.session import Session, Waiting
+    from service.stream.session import StreamSession, Waiting
 
 WINDOW_S = 0.5  # over which poses are counted
 LATE_SHARE = 0.05  # of them that step down
@@ -46,7 +46,7 @@ class Streams:
 
     def __init__(self, runtime: DrapeRuntime, sliced_thread: SlicedThread) -> None:
         self._runtime, self._sliced_thread = runtime, sliced_thread
-        self._sessions: set[Session] = set()
+        self._sessions: set[StreamSession] = set()
         self._wake = asyncio.Event()
         self._workers: list[asyncio.Task[None]] = []
         self._count = runtime.threads.stream_threads
@@ -116,7 +116,7 @@ class Streams:
             session.leaving = True
             session.news.set()
 
-    def add(self, session: Session, tier: int | None = None) -> None:
+    def add(self, session: StreamSession, tier: int | None = None) -> None:
         """Takes ``session`` in. If it is the only one, streams are held to ``tier``, as they were where it comes
         from."""
         self.check_place()
@@ -124,7 +124,7 @@ class Streams:
             self._step_down.hold(tier, time.monotonic())
         self._sessions.add(session)
 
-    def discard(self, session: Session) -> None:
+    def discard(self, session: StreamSession) -> None:
         self._sessions.discard(session)
 
     def wake(self) -> None:
@@ -138,7 +138,7 @@ class Streams:
             while batch := self._next_batch():
                 await self._compute(batch)
 
-    def _next_batch(self) -> list[Session]:
+    def _next_batch(self) -> list[StreamSession]:
         """The session that has waited longest, with its share of the others that wait under the same plan: a batch
         leaves when its last frame is through, and each takes hardly less than alone (0.86 to 0.97 of the time)."""
         ready = sorted(
@@ -148,7 +148,7 @@ class Streams:
         share = -(-len(same) // self._count)
         return same[: min(share, self._runtime.settings.chunk_frames)]
 
-    async def _compute(self, batch: Sequence[Session]) -> None:
+    async def _compute(self, batch: Sequence[StreamSession]) -> None:
         plan = batch[0].held_to(self.tier)
         generations = [session.generation for session in batch]
         inputs = [_pose_input(session, session.take()) for session in batch]
@@ -166,7 +166,7 @@ class Streams:
         for session, generation, one, (result, memories) in zip(batch, generations, inputs, results, strict=True):
             session.deliver(generation, result, memories, one.arrived_s)
 
-    def _span(self, plan: Plan, batch: Sequence[Session]) -> AbstractContextManager[None]:
+    def _span(self, plan: Plan, batch: Sequence[StreamSession]) -> AbstractContextManager[None]:
         """The span of the frames of ``batch``, where somebody asked for spans."""
         tracing = self._runtime.tracing
         if not tracing.on:
@@ -175,7 +175,7 @@ class Streams:
         return tracing.work("frames", links, frames=len(batch), tier=self._runtime.tier_of(plan))
 
 
-def _pose_input(session: Session, waiting: Waiting) -> PoseInput:
+def _pose_input(session: StreamSession, waiting: Waiting) -> PoseInput:
     pose = waiting.pose
     if isinstance(pose, RigPose):
         assert session.wearer is not None  # another opening throws away what waits

@@ -15,18 +15,18 @@ MOST_CHARACTERS = 10_000  # SMPL parameters with every digit take 2,000
 EXAMPLE = 'Send for example {"gender": 1.0, "age": 0.667}'
 
 
-def upload_avatar(told: str | None, name: str, garments_dir: Path) -> str | None:
+def upload_avatar(meaning: str | None, name: str, garments_dir: Path) -> str | None:
     """Returns the avatar for the intake as text; None if the intake shall find the wearer.
 
-    ``told`` is a phenotype or SMPL parameters as JSON, ``standard``, or a name of a table. A path is refused, for it
-    would name a file of this machine. If nothing is told, the longest entry with which ``name`` begins counts. Tables:
+    ``meaning`` is a phenotype or SMPL parameters as JSON, ``standard``, or a name of a table. A path is refused, for it
+    would name a file of this machine. Without one, the longest entry with which ``name`` begins counts. Tables:
     avatars.json in the folder of uploads, in DRAPE_DATA/garments, and the shipped one.
     """
     folders = [folder for folder in (garments_dir, data_folder("garments"), SHIPPED_FOLDER) if folder is not None]
-    if told is None:
+    if meaning is None:
         found = entry_for(name, folders)
         return None if found is None else _as_text(found[1], found[2])
-    text = told.strip()
+    text = meaning.strip()
     if text == STANDARD:
         return text
     if text.startswith("{"):

@@ -47,7 +47,7 @@ class JobRecord:
             path.unlink(missing_ok=True)
 
 
-def read_record(root: Path, job_id: str) -> JobRecord | None:
+def read_job_record(root: Path, job_id: str) -> JobRecord | None:
     """The record of the upload ``job_id`` under ``root``, if there is one."""
     return json_records.read_record(JobRecord, _path(root, job_id))
 

@@ -47,7 +47,7 @@ class Job:
     state: Literal["queued", "running", "done", "failed", "cancelled"] = "queued"
     kind: Kind = "garment"
     notes: tuple[str, ...] = ()  # what whoever sent it should know, where it is done
-    made: tuple[str, ...] = ()  # where it is done the ids of the garments, the innermost first, or of the avatar
+    results: tuple[str, ...] = ()  # where it is done the ids of the garments, the innermost first, or of the avatar
     wearer: dict[str, Any] | None = None  # that was found in the cloth
     problem: dict[str, Any] | None = None
     stage: str | None = None  # of SHARES, while it runs
@@ -164,14 +164,14 @@ class Uploads:
             if (folder / CANCEL).exists():
                 job.state = "cancelled"
             return job
-        kept = job_records.read_record(self._root, job_id)
+        kept = job_records.read_job_record(self._root, job_id)
         if kept is None:
             return None
         kind: Kind = "garment" if kept.avatar is None else "avatar"
-        one = kept.garment or kept.avatar
-        made = tuple(kept.garments) or (() if one is None else (one,))
-        told = tuple(kept.notes), made, kept.wearer, kept.problem
-        return Job(kept.id, kept.name, kept.owner, kept.state, kind, *told)
+        last = kept.garment or kept.avatar
+        results = tuple(kept.garments) or (() if last is None else (last,))
+        outcome = tuple(kept.notes), results, kept.wearer, kept.problem
+        return Job(kept.id, kept.name, kept.owner, kept.state, kind, *outcome)
 
     async def cancel(self, job: Job) -> None:
         """Ends ``job`` and removes its files. One that has ended is only forgotten, and its garment stays.
@@ -196,10 +196,10 @@ class Uploads:
     async def _keep(self, job: Job) -> None:
         """Stores what became of ``job``, where every service that has the folder finds it."""
         assert job.state not in ("queued", "running")
-        made = {job.kind: job.made[-1] if job.made else None}
-        told = made.get("garment"), job.problem, made.get("avatar"), job.notes
-        layers = job.made if job.kind == "garment" else ()
-        record = JobRecord(job.id, job.name, job.owner, job.state, *told, layers, job.wearer)
+        last = {job.kind: job.results[-1] if job.results else None}
+        outcome = last.get("garment"), job.problem, last.get("avatar"), job.notes
+        layers = job.results if job.kind == "garment" else ()
+        record = JobRecord(job.id, job.name, job.owner, job.state, *outcome, layers, job.wearer)
         try:
             await asyncio.to_thread(record.write, self._root)
         except OSError as error:  # a full disk: it is known here as long as this service runs
@@ -281,8 +281,8 @@ class Uploads:
             try:
                 with self._runtime.tracing.work("upload", [job.link], job=job.id):
                     job.work = asyncio.create_task(self._run_intake(job, folder, accepted))
-                    job.made = await job.work
-                    job.notes, job.wearer = self._told(job)
+                    job.results = await job.work
+                    job.notes, job.wearer = self._findings(job)
                 job.state = "done"
             except asyncio.CancelledError:
                 task = asyncio.current_task()
@@ -300,13 +300,13 @@ class Uploads:
             await self._keep(job)
             shutil.rmtree(folder, ignore_errors=True)
 
-    def _told(self, job: Job) -> tuple[tuple[str, ...], dict[str, Any] | None]:
+    def _findings(self, job: Job) -> tuple[tuple[str, ...], dict[str, Any] | None]:
         """What is otherwise than in the file that ``job`` brought, or looks wrong with it, and who wore it."""
         if job.kind == "avatar":
-            return tuple(self._runtime.avatars.get(job.made[-1], job.owner).told.notes), None
-        told = [self._runtime.garments.get(one, job.owner).garment.manifest for one in job.made]
-        notes = dict.fromkeys(note for one in told for note in warnings_of(one.get("notes", ())))
-        return tuple(notes), told[-1].get("wearer")
+            return tuple(self._runtime.avatars.get(job.results[-1], job.owner).facts.notes), None
+        manifests = [self._runtime.garments.get(garment, job.owner).garment.manifest for garment in job.results]
+        notes = dict.fromkeys(note for manifest in manifests for note in warnings_of(manifest.get("notes", ())))
+        return tuple(notes), manifests[-1].get("wearer")
 
     async def _run_intake(self, job: Job, folder: Path, accepted: Accepted) -> tuple[str, ...]:
         """The ids of the garments or the avatar made from what was ``accepted`` and lies in ``folder``."""
@@ -348,18 +348,18 @@ class Uploads:
             return (await asyncio.to_thread(avatars.replaced, entry, avatar, clothes)).id
         return (await asyncio.to_thread(avatars.add, avatar, file, client.name, clothes)).id
 
-    async def _publish(self, made: Path, client: Client) -> str:
-        """The id of the garment whose cache ``made`` is: checked, on disk in the folder of ``client``, in service.
+    async def _publish(self, cache: Path, client: Client) -> str:
+        """The id of the garment that ``cache`` is of: checked, on disk in the folder of ``client``, in service.
 
         The cache is read again here: arrays that a stranger's file led to are never taken unchecked.
         """
         registry = self._runtime.garments
-        prepared = await self._runtime.threads.aside(registry.prepare, made)
-        stored = folder_of(self._root, client.name) / made.name
+        prepared = await self._runtime.threads.aside(registry.prepare, cache)
+        stored = folder_of(self._root, client.name) / cache.name
         stored.parent.mkdir(exist_ok=True)
-        await asyncio.to_thread(sync, made)
+        await asyncio.to_thread(sync, cache)
         known = stored.exists()
-        os.replace(made, stored)
+        os.replace(cache, stored)
         try:
             await asyncio.to_thread(sync, stored.parent)
         except asyncio.CancelledError:

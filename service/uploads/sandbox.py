@@ -76,7 +76,7 @@ def intake_files(file: Path, out: Path, *, avatar: str | None, body: str) -> lis
     return [garment.file_name() for garment in made]
 
 
-def avatar_files(file: Path, out: Path, *, told: str | None, body: str) -> tuple[list[str], dict[str, str] | None]:
+def avatar_files(file: Path, out: Path, *, meaning: str | None, body: str) -> tuple[list[str], dict[str, str] | None]:
     """The names of the file of the wearer that the character in ``file`` becomes, and of those of its own clothes; why
     others of these are no cloth, None where nobody asked for them."""
     from drape.avatar.own_garments import wearer_and_garments
@@ -84,12 +84,12 @@ def avatar_files(file: Path, out: Path, *, told: str | None, body: str) -> tuple
     from drape.body.assets import load_body
     from drape.garment.cache import save_garment
 
-    meaning, payload = json.loads(told) if told else {}, file.read_bytes()
+    named, payload = json.loads(meaning) if meaning else {}, file.read_bytes()
     bare = bare_wearer(
-        payload, name=wearer_name(file.stem), body=load_body(body), told=meaning.get("joints"),
-        kinds=meaning.get("parts"), begun=_say,
+        payload, name=wearer_name(file.stem), body=load_body(body), told=named.get("joints"),
+        kinds=named.get("parts"), begun=_say,
     )  # fmt: skip
-    if meaning.get("alive"):
+    if named.get("alive"):
         _say("cloth")
         wearer, own = wearer_and_garments(payload, bare)
     else:
@@ -137,7 +137,7 @@ def main() -> int:
         meaning = sys.stdin.buffer.read().decode() or None
         stiff = None
         if options.kind == "avatar":
-            files, stiff = avatar_files(options.file, options.out, told=meaning, body=options.body)
+            files, stiff = avatar_files(options.file, options.out, meaning=meaning, body=options.body)
         elif options.kind == "motion":
             files = [motion_file(options.file, options.out, clip=meaning).name]
         else:

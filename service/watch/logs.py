@@ -129,7 +129,7 @@ class RequestLog:
         """The status that the request was answered with; ``LEFT`` where it was not."""
         status = 0
 
-        async def told(message: Message) -> None:
+        async def send_named(message: Message) -> None:
             nonlocal status
             if message["type"] in _STARTS:
                 status = message.get("status", 101)
@@ -138,16 +138,16 @@ class RequestLog:
             await send(message)
 
         try:
-            await self.app(scope, receive, told)
+            await self.app(scope, receive, send_named)
         except ClientDisconnect:  # before its answer, or in the middle of it
             pass
         except asyncio.CancelledError:  # the end of the service, which waits no longer
             if scope["type"] == "http" and not status:
-                await problem_response(Draining())(scope, receive, told)
+                await problem_response(Draining())(scope, receive, send_named)
         except Exception:
             log.exception("a request failed")
             if scope["type"] == "http" and not status:
-                await problem_response(InternalError())(scope, receive, told)
+                await problem_response(InternalError())(scope, receive, send_named)
         return status or LEFT
 
     def _tell(self, scope: Scope, method: str, status: int, took_s: float) -> None:

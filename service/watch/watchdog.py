@@ -1,7 +1,7 @@
 """Whether what runs still moves, and the end of a process in which something does not: ``Watchdog``.
 
-A ``WatchedJob`` is a call on the thread of a ``Lane``, or what a process of the service computes. It moves when it
-says so (``say_moved``: a step of a chunk, a frame). One that has said nothing yet moves while its thread, or the
+A ``WatchedJob`` is a call on the thread of a ``ThreadLane``, or what a process of the service computes. It moves when
+it says so (``say_moved``: a step of a chunk, a frame). One that has said nothing yet moves while its thread, or the
 process that it waits for, takes processor time.
 """
 
@@ -86,7 +86,7 @@ def waits_for(clock: Callable[[], float]) -> None:
         job.clocks.append(clock)
 
 
-class Lane(ThreadPoolExecutor):
+class ThreadLane(ThreadPoolExecutor):
     """Threads whose calls are jobs of the lane ``name``. In a ``brief`` lane each call counts as one move."""
 
     def __init__(self, name: str, threads: int | None = None, *, brief: bool = False, **more: Any) -> None:

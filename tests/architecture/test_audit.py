@@ -39,12 +39,12 @@ def report(vulnerable: bool) -> dict:
 
 
 def test_a_vulnerability_is_named_with_its_cure(audit: ModuleType):
-    assert audit.findings(report(vulnerable=True)) == (2, ["first 1.1: PYSEC-2026-1, mended in 1.2"])
+    assert audit.vulnerabilities(report(vulnerable=True)) == (2, ["first 1.1: PYSEC-2026-1, mended in 1.2"])
 
 
 def test_what_could_not_be_audited_does_not_count(audit: ModuleType):
-    assert audit.findings(report(vulnerable=False)) == (2, [])
-    assert audit.findings({"dependencies": [{"name": "drape", "skip_reason": "unknown"}]}) == (0, [])
+    assert audit.vulnerabilities(report(vulnerable=False)) == (2, [])
+    assert audit.vulnerabilities({"dependencies": [{"name": "drape", "skip_reason": "unknown"}]}) == (0, [])
 
 
 @pytest.mark.parametrize(("vulnerable", "expected"), [(True, 1), (False, 0)])

@@ -54,7 +54,7 @@ def test_an_exact_drape_is_made_when_asked_for(drapery: DrapeRuntime, clip: Case
 def test_crumpled_cloth_has_more_curvature_than_its_still(
     drapery: DrapeRuntime, clip: CaseClip, rng: np.random.Generator
 ):
-    garment, skin = shipped("tank"), moving.Skin(clip)
+    garment, skin = shipped("tank"), moving.ClipSkin(clip)
     vertices, told = moving.streamed(drapery, [garment], clip, "balanced")
     assert told["resets"] == 0 and vertices.shape == (12, garment.vertex_count, 3)
     looks = stills.stills_of(garment)
@@ -69,7 +69,7 @@ def test_crumpled_cloth_has_more_curvature_than_its_still(
 
 
 def test_cloth_in_the_body_is_counted(drapery: DrapeRuntime, clip: CaseClip):
-    garment, skin = shipped("tank"), _standing(moving.Skin(clip), 0)
+    garment, skin = shipped("tank"), _standing(moving.ClipSkin(clip), 0)
     worn, looks = garment.vertices[: garment.vertex_count].astype(float), stills.stills_of(garment)
     at_rest = {11: stills.still_figures(looks, worn)}
     outside, inside = (
@@ -105,9 +105,9 @@ def test_captured_clips_have_means_of_their_own(body: BodyModel, tmp_path: Path)
         assert record[means][0]["curvature"] == pytest.approx(row["curvature"], rel=1e-5)
 
 
-def _standing(skin: moving.Skin, frame: int = 11) -> moving.Skin:
+def _standing(skin: moving.ClipSkin, frame: int = 11) -> moving.ClipSkin:
     """The skin of a body that only trembles, so that jitter has a measure."""
     clip = skin.clip
     poses = np.repeat(clip.poses[frame : frame + 1], 12, axis=0)
     poses[:, 18, 0] += 0.1 * np.sin(np.arange(12.0) ** 2)
-    return moving.Skin(replace(clip, poses=poses))
+    return moving.ClipSkin(replace(clip, poses=poses))

@@ -26,7 +26,7 @@ from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import InputError
 from drape.files.gltf import GltfFile
-from drape.wire.clips import pack_clip
+from drape.wire.clip_message import pack_clip
 from service.settings import Settings
 from tests.clients.addon import ADDON, addon_module, addon_zip
 from tests.fixtures.poses import smooth_motion

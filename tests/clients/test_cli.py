@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 
 from clients.cli import main
 from clients.client import DrapeClient
-from drape.garment.files.obj import read_obj
+from drape.garment.files.obj_mesh import read_obj
 from drape.motion.readers import read_motion
 from tests.architecture.repository import ROOT
 from tests.drape.motion.node_files import T_POSE, glb, moved

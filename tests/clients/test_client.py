@@ -23,7 +23,7 @@ from drape.errors import BodyError, DrapeError, InputError, MeshError, MotionErr
 from drape.garment.cache import Garment
 from drape.motion import samples
 from drape.motion.clip import MotionClip
-from drape.wire.clips import unpack_clip
+from drape.wire.clip_message import unpack_clip
 from drape.wire.options import options_document
 from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.poses import random_motion

@@ -27,7 +27,7 @@ from drape.live.clock import Frame
 from drape.live.fold_records import shape_feed
 from drape.live.fold_step import FoldEffort
 from drape.live.two_level import TwoLevel
-from drape.wire.folds import pack_folds, unpack_folds, with_hung
+from drape.wire.folds_message import pack_folds, unpack_folds, with_hung
 from drape.wire.layout import JetLayout, pack_layout
 from drape.wire.messages import FOLDS
 from tests.clients.built import engine_for_browsers

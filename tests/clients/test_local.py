@@ -19,7 +19,7 @@ from numpy.testing import assert_allclose
 
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
 from drape.body.model import BodyModel
-from drape.body.pose_support import read_pose_support
+from drape.body.pose_distance import read_pose_support
 from drape.errors import InputError, Unavailable
 from drape.graph.packing import pack_body
 from drape.wire.messages import Pose, pack_pose

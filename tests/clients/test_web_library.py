@@ -17,7 +17,7 @@ from websockets.sync.server import ServerConnection, serve
 
 from drape.garment.cache import Garment
 from drape.wire import messages as wire
-from drape.wire.meshes import STEP_M, pack_mesh
+from drape.wire.mesh_messages import STEP_M, pack_mesh
 from tests.clients.node import answer_of
 from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.streams import PROTOCOLS, page_command

@@ -21,7 +21,7 @@ from drape.cloth.fabric_table import FABRICS
 from drape.files.looks import Material
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.geometry.skinning import skin_points
-from drape.wire.meshes import STEP_M, pack_mesh
+from drape.wire.mesh_messages import STEP_M, pack_mesh
 from service.http.schemas import FabricInfo
 from tests.clients.node import page_answer
 from tests.drape.motion.rigs import rig_names

@@ -14,9 +14,9 @@ from drape.body.model import BodyModel
 from drape.export.glb_body import heaviest_bones
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.wire import messages as wire
-from drape.wire.meshes import STEP_M, pack_body
+from drape.wire.mesh_messages import STEP_M, pack_body_mesh
 from drape.wire.options import Advanced, DrapeOptions, wire_names
-from drape.wire.rig_poses import RigPose, pack_rig_pose
+from drape.wire.rig_pose_message import RigPose, pack_rig_pose
 from tests.architecture.repository import ROOT
 from tests.clients.node import answer_of
 
@@ -136,7 +136,7 @@ def test_a_posed_body_is_where_it_was_before_it_was_packed(body: BodyModel, rng,
         turned = np.einsum("vkij,vkj->vki", turns[bones], places[:, None] - joints[bones]) + joints[bones]
         return (weights[..., None] * turned).sum(axis=1)
 
-    read = answer_of(BODY, {"message": pack_body(rest, body.faces, joints, bones, weights).hex()}, tmp_path)
+    read = answer_of(BODY, {"message": pack_body_mesh(rest, body.faces, joints, bones, weights).hex()}, tmp_path)
     assert read["index"] == body.faces.ravel().tolist()
     assert_allclose(np.reshape(read["joints"], (24, 3)), joints, rtol=0, atol=1e-6)
     others = np.reshape(read["bones"], (-1, 4)), np.reshape(read["weights"], (-1, 4))

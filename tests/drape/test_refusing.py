@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from drape.errors import REFUSED_EXIT_CODE, UNREAD_EXIT_CODE, InputError, ended, refusing
+from drape.errors import REFUSED_EXIT_CODE, UNREAD_EXIT_CODE, InputError, exit_status, refusing
 
 
 def test_a_refusal_becomes_its_sentence_and_a_status(capsys: pytest.CaptureFixture[str]) -> None:
@@ -36,8 +36,8 @@ def test_a_record_is_no_status(capsys: pytest.CaptureFixture[str]) -> None:
     def refused() -> dict[str, int]:
         raise InputError("count", expected="at least 0", got="-1", cure="Count again.")
 
-    assert ended(lambda: {"rows": 3}) == 0
-    assert ended(refused) == REFUSED_EXIT_CODE
+    assert exit_status(lambda: {"rows": 3}) == 0
+    assert exit_status(refused) == REFUSED_EXIT_CODE
     assert "Count again." in capsys.readouterr().err
 
 

@@ -21,7 +21,7 @@ from drape.graph.feeds import body_feed, garment_feed, skinning_feed
 from model_export import __main__ as command
 from model_export import export as exporting
 from model_export.onnx_file import _check_symbolic
-from model_export.parity import hard_poses, session
+from model_export.parity import parity_poses, session
 from model_export.readable_graphs import DrapeGraph, drape_inputs
 from tests.fixtures import packed
 from tests.fixtures.garments import shipped
@@ -99,7 +99,7 @@ def test_manifest_reads_back_and_holds_the_parity(exported):
 @pytest.mark.parametrize(("frames", "vertices", "patches"), [(1, 1, 1), (4, 60, 100), (2, 3337, 100)])
 def test_any_number_of_frames_vertices_and_patches_runs(exported, garment, frames, vertices, patches):
     model, folder, _ = exported
-    feed = body_feed(load_body(), hard_poses(frames), np.zeros((frames, 3)), skin=True)
+    feed = body_feed(load_body(), parity_poses(frames), np.zeros((frames, 3)), skin=True)
     arrays = feed.arrays | garment_feed(garment, body=load_body()) | skinning_feed(garment, load_body())
     size = model.config.embedding_size
     arrays["patch_embedding"] = np.random.default_rng(0).normal(size=(patches, size)).astype(np.float32)
@@ -122,7 +122,7 @@ def test_any_number_of_frames_vertices_and_patches_runs(exported, garment, frame
 
 def test_a_frame_is_the_same_alone_and_in_a_batch(exported, garment):
     model, folder, _ = exported
-    feed = body_feed(load_body(), hard_poses(5), np.zeros((5, 3)), skin=True).arrays
+    feed = body_feed(load_body(), parity_poses(5), np.zeros((5, 3)), skin=True).arrays
     constants = (
         garment_feed(garment, body=load_body())
         | skinning_feed(garment, load_body())

@@ -12,11 +12,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.body.assets import load_body
 from drape.errors import ArtifactError
 from drape.graph.feeds import body_feed, garment_feed
-from drape.graph.packing import Composition, Place, compose, pack_body, pack_garment
+from drape.graph.packing import Composition, Place, compose_garments, pack_body, pack_garment
 from drape.graph.push_feed import SkinShapes
 from model_export.packed.graph import FirstGraph, PackedGraph, packed_inputs, packed_outputs
 from model_export.packed.kinematics import ancestor_jumps
-from model_export.parity import hard_poses, packed_parity_error
+from model_export.parity import packed_parity_error, parity_poses
 from model_export.readable_graphs import DrapeGraph, EncoderGraph, drape_inputs
 from tests.fixtures.packed import KINDS, SMALL, described, exported, garment, lively
 from tests.fixtures.rounding import FIT_MOVED, FIT_ROUNDING, moved_by_rounding
@@ -44,9 +44,9 @@ def run_packed(model: OneFit, **more: np.ndarray) -> tuple[dict[str, np.ndarray]
         places[kind] = Place(patch, tile)
         patch, tile = patch + made[kind].patch_count, tile + made[kind].tile_count
     stored = {name: np.concatenate([m.stored[name] for m in made.values()]) for name in made["tank"].stored}
-    bodies = pack_body(load_body(), BETAS).rows(hard_poses(FRAMES, seed=1))
+    bodies = pack_body(load_body(), BETAS).rows(parity_poses(FRAMES, seed=1))
     bodies |= SkinShapes(load_body()).feed(bodies["betas"])
-    composition = compose([(made[kind], places[kind], row) for kind, row in ITEMS])
+    composition = compose_garments([(made[kind], places[kind], row) for kind, row in ITEMS])
     arrays = bodies | stored | composition.arrays | more
     with torch.no_grad():
         graph = PackedGraph(model)
@@ -56,7 +56,7 @@ def run_packed(model: OneFit, **more: np.ndarray) -> tuple[dict[str, np.ndarray]
 
 def feed_of(model: OneFit, kind: str, row: int) -> dict[str, np.ndarray]:
     """What the readable graph takes for one item."""
-    feed = body_feed(load_body(), hard_poses(FRAMES, seed=1)[row : row + 1], np.zeros((1, 3)), BETAS, skin=True)
+    feed = body_feed(load_body(), parity_poses(FRAMES, seed=1)[row : row + 1], np.zeros((1, 3)), BETAS, skin=True)
     return feed.arrays | garment_feed(garment(kind), body=load_body()) | {"patch_embedding": first_of(model, kind)[0]}
 
 
@@ -107,7 +107,7 @@ def test_rounding_moves_the_closing_fit_as_its_tolerance_says():
 
 
 def test_a_vertex_that_is_not_finite_shows_in_its_own_item_alone():
-    quaternion = pack_body(load_body(), BETAS).rows(hard_poses(FRAMES, seed=1))["joint_quaternion"].copy()
+    quaternion = pack_body(load_body(), BETAS).rows(parity_poses(FRAMES, seed=1))["joint_quaternion"].copy()
     quaternion[2, 5, 1] = np.nan
     out, composition = run_packed(lively(), joint_quaternion=quaternion)
     vertices = out["vertices"].reshape(-1, 3)

@@ -21,14 +21,14 @@ from drape.contact.projection import PushFeed
 from drape.garment.fabric_features import encoder_features
 from drape.graph.feeds import body_feed, garment_feed
 from drape.graph.layer_feed import LayerFeed
-from drape.graph.packing import Place, compose, pack_body, pack_garment
+from drape.graph.packing import Place, compose_garments, pack_body, pack_garment
 from drape.graph.push import PushConstants, push_frames
 from drape.graph.push_feed import SkinShapes
 from drape.inference.compiled import CompiledNetwork
 from drape.inference.engine import Engine
 from drape.inference.graph_names import PACKED
 from drape.inference.onnx_runtime import Session
-from model_export.parity import hard_poses, layer_case, push_case, session
+from model_export.parity import layer_case, parity_poses, push_case, session
 from model_export.push.push_graphs import LayerTensors, PushTensors
 from model_export.readable_graphs import DrapeTensors, DynamicGraph, EncoderGraph, drape_inputs
 from tests.fixtures.garments import shipped
@@ -37,7 +37,7 @@ from training.onefit import OneFit, vertex_positions
 
 pytestmark = pytest.mark.slow
 SHIPPED = MODELS_DIR / "onefit"
-FRAMES, POSES = 3, hard_poses(3, seed=4)
+FRAMES, POSES = 3, parity_poses(3, seed=4)
 ROUNDING_M = 5e-6  # of coordinates up to a metre, through four corrections
 PUSHED_M = 2e-5  # of weights whose logits multiply squares of metres by 5000
 
@@ -114,7 +114,7 @@ def drape(kind: str, *, passes: int | None = None, shaped: bool = False, moved: 
     bodies = pack_body(body, betas).rows(POSES) | {"dynamic_code": code}
     skins = SkinShapes(body)
     bodies |= skins.feed(bodies["betas"])
-    composition = compose([(packed, Place(0, 0), row) for row in range(FRAMES)])
+    composition = compose_garments([(packed, Place(0, 0), row) for row in range(FRAMES)])
     given_arrays = bodies | packed.stored | composition.arrays
     by_graph = by_packed(passes).run(["vertices"], {name: given_arrays[name] for name in by_packed(passes).inputs})[0]
     rows = engine().rows(packed)

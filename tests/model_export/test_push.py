@@ -7,13 +7,13 @@ import onnx
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from model_export.parity import hard_poses, layer_case, push_case, push_parity_error, session
+from model_export.parity import layer_case, parity_poses, push_case, push_parity_error, session
 from model_export.push.push_graphs import PUSHES, stored, traced, write_push
 from tests.fixtures.packed import garment
 
 pytestmark = pytest.mark.slow
 PER_FRAME = ("vertices", "under", "bone_rotation", "bone_translation")
-POSES = hard_poses(3, seed=4)
+POSES = parity_poses(3, seed=4)
 CASES = {  # graph, inputs and what numpy makes of them, how far something must be pushed for the test to mean something
     "shorts": lambda: ("push_out", push_case(garment("shorts"), POSES, clearance_m=0.004), 1e-3),
     "tank": lambda: ("push_out", push_case(garment("tank"), POSES, clearance_m=0.004), 1e-3),

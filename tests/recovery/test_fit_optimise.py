@@ -13,7 +13,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from drape.errors import ArtifactError, InputError
-from drape.garment.contours import Contour, Match, Place, open_contours
+from drape.garment.contours import Contour, ContourPlace, Match, open_contours
 from recovery.fit.belt import belt_on
 from recovery.fit.forward import RestDrape
 from recovery.fit.objective import (
@@ -53,7 +53,7 @@ def cone_mesh() -> PatternMesh:
 
 def paired(targets: Sequence[int]) -> list[Match]:
     """Matches of contours 0, 1, ... with these of the target."""
-    return [Match(i, j, Place("trunk", 0.0, np.zeros(3)), 1.0, 0.0) for i, j in enumerate(targets)]
+    return [Match(i, j, ContourPlace("trunk", 0.0, np.zeros(3)), 1.0, 0.0) for i, j in enumerate(targets)]
 
 
 def slope(finder: PatternSearch, at: Evaluation, direction: np.ndarray) -> float:

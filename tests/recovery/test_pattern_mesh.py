@@ -11,11 +11,17 @@ from numpy.testing import assert_allclose
 from drape.errors import InputError, MeshError
 from drape.geometry import meshes
 from recovery.pattern import geometry
-from recovery.pattern.coordinates import boundary_matrix, control_points, edge_matrix, mean_value_weights, with_controls
+from recovery.pattern.coordinates import (
+    boundary_matrix,
+    control_points,
+    edge_point_matrix,
+    mean_value_weights,
+    with_controls,
+)
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.pattern_mesh import mesh_pattern
 from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
-from recovery.pattern.triangulate import corner_angles_deg, signed_areas, triangulate
+from recovery.pattern.triangulate import corner_angles_deg, triangulate
 from recovery.sim.cloth_model import ClothModel
 from tests.recovery.pattern_setup import curved, rectangle, tube
 from tests.recovery.sim_setup import WOVEN
@@ -39,7 +45,7 @@ def test_triangles_fill_the_polygon_and_keep_its_boundary(polygon, edge):
     assert_allclose(points[: len(polygon)], polygon, atol=0)
     x, y = polygon.T
     area = 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
-    areas = signed_areas(points, faces)
+    areas = meshes.signed_areas(points, faces)
     assert areas.min() > 0.0
     assert_allclose(areas.sum(), area, rtol=1e-12)
     (loop,) = meshes.boundary_loops(faces)
@@ -138,7 +144,7 @@ def test_moved_control_points_move_the_curves_exactly(rng):
 def test_a_curve_that_follows_turns_with_its_chord():
     edge = curved().edges[1]
     t = np.linspace(0.0, 1.0, 5)
-    matrix = edge_matrix(edge, t)
+    matrix = edge_point_matrix(edge, t)
     straight = (matrix @ np.array([0.0, 0.0, 1.0, 0.0])).reshape(-1, 2)
     upright = (matrix @ np.array([0.0, 0.0, 0.0, 1.0])).reshape(-1, 2)
     assert_allclose(upright, straight @ np.array([[0.0, 1.0], [-1.0, 0.0]]), atol=1e-15)
@@ -215,7 +221,7 @@ def test_a_panel_sewn_right_to_wrong_is_turned():
     mesh = mesh_pattern(replace(plain, panels=(plain.panels[0], back), stitches=stitches), 0.1)
     halves = meshes.half_edges(mesh.faces)[:, :2]
     assert len(np.unique(halves, axis=0)) == len(halves)
-    areas = signed_areas(mesh.rest, mesh.panel_faces)
+    areas = meshes.signed_areas(mesh.rest, mesh.panel_faces)
     assert (areas[mesh.face_panel == 0] > 0).all() and (areas[mesh.face_panel == 1] < 0).all()
     assert len(mesh.folded(mesh.rest)) == 0
     normals = meshes.face_normals(mesh.placed(), mesh.panel_faces)
@@ -250,8 +256,8 @@ def test_the_tip_of_a_cone_does_not_collapse():
     mesh = mesh_pattern(pointed_cone(), 0.05)
     assert len(meshes.boundary_loops(mesh.faces)) == 1
     assert mesh.node_count - len(meshes.unique_edges(mesh.faces)) + len(mesh.faces) == 1  # a disk
-    assert signed_areas(mesh.rest, mesh.panel_faces).min() > 0.0
-    assert_allclose(signed_areas(mesh.rest, mesh.panel_faces).sum(), 0.08, rtol=1e-12)
+    assert meshes.signed_areas(mesh.rest, mesh.panel_faces).min() > 0.0
+    assert_allclose(meshes.signed_areas(mesh.rest, mesh.panel_faces).sum(), 0.08, rtol=1e-12)
 
 
 def test_stitches_that_give_no_surface_are_refused():

@@ -22,7 +22,7 @@ from drape.files.atomic import write_whole
 from drape.garment.cache import load_garment
 from drape.garment.contours import lost_parts, lost_words
 from drape.garment.files.mesh import read_mesh
-from drape.geometry.drawing import drawn
+from drape.geometry.drawing import draw_points
 from recovery import progress
 from recovery.drape.output import panel_texture, sewn_obj_text
 from recovery.drape.pattern_drape import Draped, SewingOptions, drape_pattern, hanging
@@ -63,7 +63,7 @@ def test_two_meshes_of_one_surface_are_at_the_floor():
 def test_parallel_squares_are_their_distance_apart():
     near = surface_distance((SQUARE, HALVES), (SQUARE + np.array([0.0, 0.0, 0.01]), HALVES))
     assert_allclose(near, 10.0, rtol=1e-9)
-    first, second = drawn(SQUARE, HALVES, 50, 0), drawn(SQUARE, HALVES, 50, 0) + np.array([0.0, 0.0, 0.001])
+    first, second = draw_points(SQUARE, HALVES, 50, 0), draw_points(SQUARE, HALVES, 50, 0) + np.array([0.0, 0.0, 0.001])
     assert_allclose(chamfer(first, second), (1e4 * 2e-6, 1.0), rtol=1e-6)
 
 

@@ -28,15 +28,15 @@ WARPED = Fabric("woven", 9.0, 4.0, 0.55, 1.2, 2.0e-5, 1.1e-5, 1.3e-5, 0.15)
 
 def test_assembly_by_static_maps_equals_a_loop_over_elements():
     model, _, parameters, rest, x = crumpled_tube()
-    stretched = membrane.hessian(model.triangles(x), rest.triangles, parameters.membrane, definite=False)
+    stretched = membrane.membrane_hessian(model.triangles(x), rest.triangles, parameters.membrane, definite=False)
     stiffness = rest.hinge_weight * parameters.bending_j
-    bent = bending.hessian(model.hinges(x), stiffness, model.rest_angle, definite=False)
+    bent = bending.bending_hessian(model.hinges(x), stiffness, model.rest_angle, definite=False)
     expected = np.zeros((model.node_count * 3,) * 2)
     for nodes_of, stack in ((model.faces.T, stretched.numpy()), (model.hinge_nodes.T, bent.numpy())):
         for element in range(nodes_of.shape[1]):
             unknowns = (3 * nodes_of[:, element, None] + np.arange(3)).reshape(-1)
             expected[np.ix_(unknowns, unknowns)] += stack[:, :, element]
-    found = elastic.hessian(model, rest, parameters, x, definite=False).toarray()
+    found = elastic.elastic_hessian(model, rest, parameters, x, definite=False).toarray()
     assert_allclose(found, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
     assert_allclose(found, found.T, rtol=0, atol=1e-12 * np.abs(expected).max())
 
@@ -44,17 +44,17 @@ def test_assembly_by_static_maps_equals_a_loop_over_elements():
 def check_derivatives(model: ClothModel, parameters: Parameters, x: Tensor) -> None:
     """Forces, Hessians and contractions at ``x`` against derivatives of the energy."""
     rest, leaf = model.rest(parameters.panels), x.clone().requires_grad_(True)
-    (slope,) = torch.autograd.grad(elastic.energy(model, rest, parameters, leaf), leaf)
+    (slope,) = torch.autograd.grad(elastic.elastic_energy(model, rest, parameters, leaf), leaf)
     assert_allclose(elastic.forces(model, rest, parameters, x), -slope, rtol=0, atol=1e-11 * float(slope.abs().max()))
     direction = torch.from_numpy(np.random.default_rng(4).normal(size=x.shape))
     flattened, step = direction.numpy().reshape(-1), 1e-7
     assert_allclose(elastic.work(model, rest, parameters, x, direction), float((slope * direction).sum()), rtol=1e-9)
     ahead, behind = (elastic.forces(model, rest, parameters, x + sign * step * direction) for sign in (1.0, -1.0))
-    product = elastic.hessian(model, rest, parameters, x, definite=False) @ flattened
+    product = elastic.elastic_hessian(model, rest, parameters, x, definite=False) @ flattened
     change = (behind - ahead).numpy().reshape(-1) / (2 * step)
     assert_allclose(change, product, rtol=0, atol=1e-6 * np.abs(product).max())
-    matrix = elastic.hessian(model, rest, parameters, x, definite=True)
-    pair = elastic.bilinear(model, rest, parameters, x, direction, direction)
+    matrix = elastic.elastic_hessian(model, rest, parameters, x, definite=True)
+    pair = elastic.elastic_bilinear(model, rest, parameters, x, direction, direction)
     assert_allclose(pair, flattened @ (matrix @ flattened), rtol=1e-9)
 
 
@@ -69,9 +69,9 @@ def test_the_definite_system_is_definite_for_crumpled_cloth():
     rest = model.rest(parameters.panels)
     for seed in range(20):
         x = crumpled(model, 0.5 * nodes, size_m=0.01, seed=seed).x
-        values = np.linalg.eigvalsh(elastic.hessian(model, rest, parameters, x, definite=True).toarray())
+        values = np.linalg.eigvalsh(elastic.elastic_hessian(model, rest, parameters, x, definite=True).toarray())
         assert values[0] > -1e-12 * values[-1]
-        exact = np.linalg.eigvalsh(elastic.hessian(model, rest, parameters, x, definite=False).toarray())
+        exact = np.linalg.eigvalsh(elastic.elastic_hessian(model, rest, parameters, x, definite=False).toarray())
         assert exact[0] < -1.0
 
 
@@ -98,7 +98,7 @@ def test_the_simulator_has_the_energy_of_the_network(rng):
     mesh, model = ClothMesh.of(flat(flat_nodes, faces, grain), faces, len(panel)), ClothModel(faces)
     x = flat_nodes + 4e-3 * rng.normal(size=flat_nodes.shape)
     parameters = model.parameters(panel, cloth.woven)
-    found = elastic.energy(model, model.rest(parameters.panels), parameters, torch.from_numpy(x))
+    found = elastic.elastic_energy(model, model.rest(parameters.panels), parameters, torch.from_numpy(x))
     expected = energies.membrane(x, mesh, cloth) + energies.bending(x, mesh, cloth)
     assert_allclose(found, expected, rtol=1e-8)
 
@@ -120,7 +120,7 @@ def test_rigid_motion_of_the_garment_changes_no_energy(rng):
     model, _, parameters, rest, x = crumpled_tube()
     turn = Rotation.random(rng=rng).as_matrix()
     moved = torch.from_numpy(x.numpy() @ turn.T + rng.normal(size=3))
-    before, after = (elastic.energy(model, rest, parameters, at) for at in (x, moved))
+    before, after = (elastic.elastic_energy(model, rest, parameters, at) for at in (x, moved))
     assert_allclose(after, before, rtol=1e-10)
     expected = elastic.forces(model, rest, parameters, x).numpy() @ turn.T
     found = elastic.forces(model, rest, parameters, moved)
@@ -134,7 +134,7 @@ def test_the_pattern_gradient_ignores_rigid_motions_of_a_panel():
     for cloth, feels_turn in ((ISOTROPIC, False), (WOVEN, True)):
         parameters = model.parameters(panels, cloth)
         leaf = parameters.panels.requires_grad_(True)
-        (slope,) = torch.autograd.grad(elastic.energy(model, model.rest(leaf), parameters, x), leaf)
+        (slope,) = torch.autograd.grad(elastic.elastic_energy(model, model.rest(leaf), parameters, x), leaf)
         own = slope.numpy()[front]
         scale = np.abs(own).max()
         assert_allclose(own.sum(axis=0), 0.0, rtol=0, atol=1e-11 * scale)
@@ -158,7 +158,7 @@ def test_the_pivots_count_the_negative_eigenvalues():
     counts = []
     for seed in range(5):
         x = crumpled(model, nodes * (1.0 - 0.1 * seed), size_m=0.005, seed=seed).x
-        matrix = elastic.hessian(model, rest, parameters, x, definite=False)
+        matrix = elastic.elastic_hessian(model, rest, parameters, x, definite=False)
         counts.append(superlu(matrix).negative_pivots())
         assert counts[-1] == (np.linalg.eigvalsh(matrix.toarray()) < 0.0).sum()
     assert max(counts) > 0
@@ -169,9 +169,9 @@ def test_what_cannot_be_solved_is_refused():
     parameters = model.parameters(panels, WOVEN)
     rest, x = model.rest(parameters.panels), model.state(nodes).x
     with pytest.raises(InputError, match="finite forces"):
-        superlu(elastic.hessian(model, rest, parameters, x * np.nan, definite=True))
+        superlu(elastic.elastic_hessian(model, rest, parameters, x * np.nan, definite=True))
     with pytest.raises(InputError, match="regular system"):
-        superlu(0.0 * elastic.hessian(model, rest, parameters, x, definite=True))
+        superlu(0.0 * elastic.elastic_hessian(model, rest, parameters, x, definite=True))
 
 
 def test_meshes_that_are_no_garment_are_refused():

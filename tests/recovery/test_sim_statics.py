@@ -41,7 +41,7 @@ def test_patch_of_uniform_strain_has_the_exact_energy_and_no_inner_force(rng):
         e = np.array([strain[0, 0], strain[1, 1], strain[0, 1]])
         h = np.array([[stretch[0], stretch[1], 0], [stretch[1], stretch[2], 0], [0, 0, 2.0 * stretch[3]]])
         x = torch.from_numpy(panel @ f.T @ PLANE.T)
-        assert_allclose(elastic.energy(model, rest, parameters, x), 0.5 * 0.06 * e @ h @ e, rtol=1e-12)
+        assert_allclose(elastic.elastic_energy(model, rest, parameters, x), 0.5 * 0.06 * e @ h @ e, rtol=1e-12)
         force = elastic.forces(model, rest, parameters, x).numpy()
         assert_allclose(force[inner], 0.0, rtol=0, atol=1e-12 * np.abs(force).max())
 
@@ -111,7 +111,7 @@ def test_a_plate_on_a_cylinder_holds_half_k_per_squared_curvature_at_any_resolut
         x = np.stack([radius * np.sin(angle), radius * np.cos(angle), -panel[:, 1]], axis=1)
         corner = model.hinges(torch.from_numpy(x))
         rest = model.rest(parameters.panels)
-        energy = bending.energy(corner, WOVEN.bending_j * rest.hinge_weight, model.rest_angle).sum()
+        energy = bending.bending_energy(corner, WOVEN.bending_j * rest.hinge_weight, model.rest_angle).sum()
         # Hinges stand between columns: half a column at either end has none.
         expected = 0.5 * WOVEN.bending_j / radius**2 * 0.1 * 0.4 * (columns - 1) / columns
         errors.append(abs(float(energy) / expected - 1.0))
@@ -192,7 +192,7 @@ def test_a_drape_is_a_minimum_and_not_a_saddle():
     assert report.converged
     assert float(drape.x[:, 1].abs().max()) > 0.02
     rest = model.rest(parameters.panels)
-    hessian = elastic.hessian(model, rest, parameters, drape.x, definite=False).toarray()
+    hessian = elastic.elastic_hessian(model, rest, parameters, drape.x, definite=False).toarray()
     assert np.linalg.eigvalsh(hessian)[0] > 0.0
 
 

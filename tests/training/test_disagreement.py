@@ -43,7 +43,7 @@ def flat_sheet() -> Garment:
         chart_patch=patch,
         chart_uv=uv,
         chart_weight=weight / weight.sum(axis=1, keepdims=True),
-        chart_residual=local - scale[patch][..., None] * jets.evaluate(jet[patch], uv),
+        chart_residual=local - scale[patch][..., None] * jets.evaluate_jet(jet[patch], uv),
     )
 
 
@@ -120,7 +120,7 @@ def test_normals_are_those_of_the_surface_that_each_chart_makes(sheet, rng):
             # (u, v) is linear in the plane: its slope follows from the sheet's own charts.
             uv = sheet.chart_uv + sign * np.einsum("vkij,vkj->vki", slope_of(sheet), along[..., :2])
             scale = sheet.patch_scale[sheet.chart_patch][..., None]
-            moved = local + scale * jets.evaluate(jet[:, sheet.chart_patch], uv)
+            moved = local + scale * jets.evaluate_jet(jet[:, sheet.chart_patch], uv)
             ends.append((rotation[:, sheet.chart_patch] @ moved[..., None])[..., 0])
         sides.append((ends[0] - ends[1]) / (2.0 * step))
     expected = np.cross(*sides)

@@ -76,7 +76,7 @@ def test_a_vertex_is_the_blend_of_its_vector_jets():
             row = partition.chart_row[vertex, slot].double().numpy()
             uv = row[[5, 6]]  # the basis is 1, u, v, ...
             jet = state.jet[0, k].double().numpy()
-            local = row[1:4] + float(patches.scale[k]) * jets.evaluate(jet, uv)
+            local = row[1:4] + float(patches.scale[k]) * jets.evaluate_jet(jet, uv)
             total += float(partition.chart_weight[vertex, slot]) * (
                 state.centre[0, k].double().numpy() + state.rotation[0, k].double().numpy() @ local
             )
@@ -163,7 +163,7 @@ def test_paper_variant_moves_patches_by_translation_and_scale():
         jet, _ = model.predict(bodies.tensors, embedding)
         state = model(bodies.tensors, partition.patches, embedding)
     uv = torch.tensor([0.3, -0.6])
-    got = jets.evaluate(jet, uv) / model.config.output_gain
+    got = jets.evaluate_jet(jet, uv) / model.config.output_gain
     shift, scale, height = out["translation"], out["scale"], out["height"]
     assert_allclose(got[..., :2], shift[..., :2] + scale * uv, rtol=0, atol=1e-5)
     polynomial = (height * jets.basis(uv, jets.HEIGHT_ORDER)).sum(-1)

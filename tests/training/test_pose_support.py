@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drape.artifacts import MODELS_DIR, load_manifest
-from drape.body.pose_support import read_pose_support
+from drape.body.pose_distance import read_pose_support
 from drape.errors import ArtifactError, NotFound
 from tests.fixtures.poses import smooth_motion
 from training import pose_support
@@ -22,8 +22,8 @@ def poses(frames: int, start_s: float = 0.0) -> np.ndarray:
 
 def test_the_furthest_points_come_first_and_copies_never():
     rows = np.array([[0.0], [1.0], [5.0], [5.0], [3.0]])
-    assert pose_support.farthest_points(rows, 3).ravel().tolist() == [0.0, 5.0, 3.0]
-    assert len(pose_support.farthest_points(rows, 9)) == 4
+    assert pose_support.spread_rows(rows, 3).ravel().tolist() == [0.0, 5.0, 3.0]
+    assert len(pose_support.spread_rows(rows, 9)) == 4
 
 
 def test_seen_poses_and_their_mirror_images_are_within_and_so_are_99_of_100_unseen_ones():

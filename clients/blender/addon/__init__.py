@@ -13,7 +13,7 @@ from bpy.props import EnumProperty, PointerProperty, StringProperty
 from .bake import Step, Steps, bake
 from .garment_object import FORMS
 from .local_service import LocalService
-from .our_body import add_body
+from .our_body import add_our_body
 from .service_calls import Refusal, Service
 
 TICK_S = 0.02
@@ -41,7 +41,7 @@ class Preferences(bpy.types.AddonPreferences):
             self.layout.prop(self, name)
 
 
-class Settings(bpy.types.PropertyGroup):
+class SceneSettings(bpy.types.PropertyGroup):
     """What is draped in a scene."""
 
     armature: PointerProperty(name="Character", type=bpy.types.Object, poll=lambda self, one: one.type == "ARMATURE")
@@ -143,7 +143,7 @@ class AddBody(Stepped, bpy.types.Operator):
 
     def steps(self, context: Any) -> Steps:
         yield Step(0.0, "Adding the body")
-        context.scene.drape.armature = add_body(context, service_of(context), context.scene.drape.motion)
+        context.scene.drape.armature = add_our_body(context, service_of(context), context.scene.drape.motion)
 
 
 class Bake(Stepped, bpy.types.Operator):
@@ -168,14 +168,14 @@ class DrapePanel(bpy.types.Panel):
         self.layout.operator("drape.bake")
 
 
-CLASSES = (Preferences, Settings, Connect, Start, AddBody, Bake, DrapePanel)
+CLASSES = (Preferences, SceneSettings, Connect, Start, AddBody, Bake, DrapePanel)
 
 
 def register() -> None:
     """Adds the panel and what it needs."""
     for each in CLASSES:
         bpy.utils.register_class(each)
-    bpy.types.Scene.drape = PointerProperty(type=Settings)
+    bpy.types.Scene.drape = PointerProperty(type=SceneSettings)
 
 
 def unregister() -> None:

@@ -24,7 +24,7 @@ SCALE_TOLERANCE = 0.01
 HEAVIEST = 4  # bones of a vertex
 
 
-class Character:
+class SceneCharacter:
     """The character of ``armature``, an object of the scene, with its ``bones``; ``body``: its id where it is ours.
 
     ``units``: of the scene, per unit of the armature. Refuses what is no armature, and one that is stretched.

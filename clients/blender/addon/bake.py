@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .armature import Y_UP, Character
+from .armature import Y_UP, SceneCharacter
 from .garment_object import baked, check_form
 from .service_calls import Refusal, Service, Told, avatar_of, draped
 
@@ -43,7 +43,7 @@ def bake(context: Any, service: Service, asked: Any) -> Steps:
     turns, places = [], []
     try:
         scene.frame_set(frames[0])
-        character = Character(asked.armature)
+        character = SceneCharacter(asked.armature)
         if character.body:
             who = yield from _waited(lambda told: service.json("bodies", character.body), 0.02, 0.2)
             pelvis, metres, rest = "pelvis", 1.0 / character.units, who["joints"][0]

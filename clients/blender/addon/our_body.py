@@ -15,7 +15,7 @@ from .armature import BODY, JOINTS, Y_UP
 from .service_calls import GLB, Service
 
 
-def add_body(context: Any, service: Service, motion: str) -> Any:
+def add_our_body(context: Any, service: Service, motion: str) -> Any:
     """The armature of the service's body in the scene, in the ``motion`` that is named, from the first frame on."""
     clip = service.json("motions", motion) if motion else {"poses": [], "trans": [], "fps": 1.0}
     body = service.json("bodies")[0]["id"]

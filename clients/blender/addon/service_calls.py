@@ -135,7 +135,7 @@ def draped(service: Service, about: dict[str, Any], turns: np.ndarray, places: n
 
 
 def packed_clip(about: Mapping[str, Any], turns: np.ndarray, places: np.ndarray) -> bytes:
-    """The CLIP message of a clip, as ``drape.wire.clips`` packs it."""
+    """The CLIP message of a clip, as ``drape.wire.clip_message`` packs it."""
     text = json.dumps(about, separators=(",", ":"), allow_nan=False).encode()
     nodes = turns.shape[1] if turns.shape[2] == 4 else 0
     head = _HEAD.pack(MAGIC, VERSION, CLIP, PLACED, 0, len(turns), len(text), nodes)

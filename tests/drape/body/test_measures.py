@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.body.assets import body_from_arrays
-from drape.body.measures import DENSITY_KG_M3, Measures, landmarks, measures, section_girth, volume
+from drape.body.measures import DENSITY_KG_M3, Measures, enclosed_volume, landmarks, measures, section_girth
 from drape.body.model import BodyModel
 from drape.errors import BodyError
 from drape.geometry import meshes
@@ -43,9 +43,9 @@ def test_a_level_without_skin_is_refused():
 
 def test_volumes_are_those_of_a_box_and_a_ball():
     vertices, faces = box((0.1, 0.2, 0.3))
-    assert_allclose(volume(vertices + np.array([3.0, -1.0, 2.0]), faces), 8.0 * 0.1 * 0.2 * 0.3, rtol=1e-12)
+    assert_allclose(enclosed_volume(vertices + np.array([3.0, -1.0, 2.0]), faces), 8.0 * 0.1 * 0.2 * 0.3, rtol=1e-12)
     vertices, faces = icosphere(5, radius_m=0.5)
-    assert_allclose(volume(vertices, faces), 4.0 / 3.0 * np.pi * 0.5**3, rtol=2e-3)
+    assert_allclose(enclosed_volume(vertices, faces), 4.0 / 3.0 * np.pi * 0.5**3, rtol=2e-3)
 
 
 def test_the_standard_body_measures_as_its_landmarks_say(body: BodyModel):
@@ -60,7 +60,7 @@ def test_the_standard_body_measures_as_its_landmarks_say(body: BodyModel):
     assert found.waist_m < min(around) + 1e-3, "the narrowest"
     assert found.waist_m < found.chest_m < found.hip_m < 0.6 * found.height_m
     assert 0.44 < found.inseam_m / found.height_m < 0.5
-    assert_allclose(found.weight_kg, DENSITY_KG_M3 * volume(skin, body.faces), rtol=1e-12)
+    assert_allclose(found.weight_kg, DENSITY_KG_M3 * enclosed_volume(skin, body.faces), rtol=1e-12)
     assert measures(body, np.zeros(body.shape_count)) == found
 
 

@@ -29,16 +29,16 @@ def test_nearest_vertices_equal_brute_force(rng):
     points, body_vertices = rng.normal(size=(2, 30, 3)), rng.normal(size=(2, 50, 3))
     subset = np.arange(0, 50, 3)
     squared = ((points[:, :, None] - body_vertices[:, None]) ** 2).sum(-1)
-    assert (contact.nearest_vertices(points, body_vertices) == squared.argmin(-1)).all()
+    assert (contact.nearest_body_vertices(points, body_vertices) == squared.argmin(-1)).all()
     of_subset = subset[squared[..., subset].argmin(-1)]
-    assert (contact.nearest_vertices(points, body_vertices, vertices=subset) == of_subset).all()
+    assert (contact.nearest_body_vertices(points, body_vertices, vertices=subset) == of_subset).all()
 
 
 @pytest.mark.parametrize("name", ["points", "body_vertices"])
 def test_wrong_shapes_are_refused(name):
     arrays = {"points": np.zeros((2, 5, 3)), "body_vertices": np.zeros((2, 7, 3))} | {name: np.zeros((7, 3))}
     with pytest.raises(InputError, match=name):
-        contact.nearest_vertices(**arrays)
+        contact.nearest_body_vertices(**arrays)
 
 
 def test_plane_distance_on_a_sphere_converges_to_the_radial_distance(rng):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -19,12 +20,12 @@ COUNT = 200
 class Element(NamedTuple):
     """A formula with its constants, at random ``corners`` (3 or 4, 3, n)."""
 
-    formula: object
+    formula: ModuleType
     corners: np.ndarray
     constants: tuple
 
     def __getattr__(self, name: str) -> Callable:
-        function = getattr(self.formula, name)
+        function = getattr(self.formula, f"{self.formula.__name__.rpartition('.')[2]}_{name}")
         return lambda corners, *others, **options: function(corners, *self.constants, *others, **options)
 
 
@@ -129,7 +130,9 @@ def test_each_strain_costs_its_own_stiffness(axis, place):
 def test_the_definite_hessian_is_the_exact_one_in_tension(rng):
     one = triangles(rng)
     corners = 4.0 * one.corners
-    pp, tt, pt = membrane.stress(membrane.green_strain(*membrane.columns(corners, one.constants[0].inverse)), STIFFNESS)
+    pp, tt, pt = membrane.stress(
+        membrane.green_strain(*membrane.deformation_columns(corners, one.constants[0].inverse)), STIFFNESS
+    )
     taut = 0.5 * (pp + tt) - np.hypot(0.5 * (pp - tt), pt) > 1.0
     assert taut.sum() > 20
     exact, definite = (one.hessian(corners, definite=flag)[:, :, taut] for flag in (False, True))
@@ -154,11 +157,11 @@ def test_the_angle_has_the_sign_of_the_normals_and_its_moment_is_a_sine():
     corners = np.concatenate([flat, [[zero, -np.cos(fold), -np.sin(fold)]]])
     found = bending.hinge(corners)
     assert_allclose(np.arctan2(found.sine, found.cosine), fold, rtol=1e-12, atol=1e-12)
-    moment = np.linalg.norm(bending.gradient(corners, one, 0.2 * one)[3], axis=0)
+    moment = np.linalg.norm(bending.bending_gradient(corners, one, 0.2 * one)[3], axis=0)
     assert_allclose(moment, np.abs(np.sin(fold - 0.2)), rtol=1e-10, atol=1e-15)
 
 
 def test_a_collapsed_hinge_has_no_force():
     at_one_place = np.zeros((4, 3, 1))
-    assert_allclose(bending.gradient(at_one_place, np.ones(1), np.zeros(1)), 0.0)
-    assert np.isfinite(bending.hessian(at_one_place, np.ones(1), np.zeros(1), definite=False)).all()
+    assert_allclose(bending.bending_gradient(at_one_place, np.ones(1), np.zeros(1)), 0.0)
+    assert np.isfinite(bending.bending_hessian(at_one_place, np.ones(1), np.zeros(1), definite=False)).all()

@@ -44,7 +44,7 @@ def bent_energy(fabric: Fabric, angle_rad: float, radius_m: float, *, turn_rad: 
     area = meshes.face_areas(np.pad(panel, ((0, 0), (0, 1))), faces)
     weight = (edge**2).sum(axis=1) / area[sides].sum(axis=1)
     stiffness = weight * hinge_rigidity(fabric, bending_angle(edge))
-    energy = bending.energy(shape[hinges.T].transpose(0, 2, 1), stiffness, np.zeros(len(hinges)))
+    energy = bending.bending_energy(shape[hinges.T].transpose(0, 2, 1), stiffness, np.zeros(len(hinges)))
     # Every hinge stands for a third of its two triangles.
     return float(energy.sum() / (area[sides].sum() / 3.0))
 

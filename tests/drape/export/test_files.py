@@ -14,7 +14,7 @@ from drape.export.pc2 import HEAD_BYTES, pc2_head, pc2_samples
 from drape.export.surface import MovingGarment
 from drape.export.usda import POINT_BYTES, usda_pieces
 from drape.garment.cache import Garment
-from drape.garment.files.obj import read_obj
+from drape.garment.files.obj_mesh import read_obj
 from tests.fixtures.exports import UsdGeom, read_mdd, read_pc2, read_usda
 
 

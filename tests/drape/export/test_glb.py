@@ -24,7 +24,7 @@ from drape.export.glb_body import add_body
 from drape.export.glb_file import GlbFile
 from drape.export.root_motion import RootMotion
 from drape.garment.cache import Garment
-from drape.garment.files.glb import read_glb
+from drape.garment.files.gltf_mesh import read_glb
 from drape.geometry import rigid
 from drape.geometry.rotations import quaternion_to_matrix
 from tests.fixtures.glb_reader import PACKAGES, Reader, khronos_complaints

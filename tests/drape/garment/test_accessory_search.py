@@ -19,7 +19,7 @@ from drape.garment.rest_mesh import rest_mesh
 from drape.garment.seats import are_glasses
 from drape.garment.told_reading import ToldReading
 from drape.garment.wearer_fields import known_parameters
-from drape.garment.wearer_reading import Reading, Wearer
+from drape.garment.wearer_reading import Reading, WearerCandidate
 from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.garment.garment_files import shirt
@@ -140,7 +140,7 @@ def test_a_hat_that_was_found_too_low_and_too_far_in_front_is_raised_to_the_fore
     mesh = hat(BODY.v_template)
     parameters = known_parameters(BODY, "standard", 0.0, 0.0)
     parameters[-3:] += [0.0, 0.05, -0.03]
-    low = Wearer(Reading("m", 1.0, "+y", "+z"), BODY, parameters, 0.0, 0.0, 0.0, 0.0, sleeved=False)
+    low = WearerCandidate(Reading("m", 1.0, "+y", "+z"), BODY, parameters, 0.0, 0.0, 0.0, 0.0, sleeved=False)
     np.testing.assert_allclose(seated(mesh, low).trans, 0.0, rtol=0, atol=0.025)
     dress = plain_mesh("shirt", *shirt(BODY, BODY.v_template))
     assert seated(dress, low) is low

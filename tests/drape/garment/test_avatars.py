@@ -159,7 +159,7 @@ def test_other_mesh_is_registered(rng: np.random.Generator):
     order = rng.permutation(len(shape))
     place = np.empty_like(order)
     place[order] = np.arange(len(order))
-    fitted, residual = registration.register(shape[order], place[BODY.faces], BODY)
+    fitted, residual = registration.register_body(shape[order], place[BODY.faces], BODY)
     assert residual < 3.0
     normals = meshes.vertex_normals(shape, BODY.faces)
     torso = BODY.weights[:, [JOINT_NAMES.index(n) for n in ("spine1", "spine2", "spine3", "left_elbow")]].sum(1) > 0.8
@@ -170,10 +170,10 @@ def test_other_mesh_is_registered(rng: np.random.Generator):
 
 def test_unlike_body_is_refused(tmp_path: Path):
     with pytest.raises(BodyError, match="fits to 15 mm"):
-        registration.register(*tube(40, 39, radius_m=0.4, height_m=1.8), BODY)
+        registration.register_body(*tube(40, 39, radius_m=0.4, height_m=1.8), BODY)
     flat = tube(40, 1, radius_m=0.4, height_m=0.05)
     with pytest.raises(BodyError, match="500 vertices"):
-        registration.register(*flat, BODY)
+        registration.register_body(*flat, BODY)
     (tmp_path / "flat.obj").write_bytes(obj_text(*flat))
     with pytest.raises(BodyError, match="a person"):
         mesh_avatar(tmp_path / "flat.obj", BODY)

@@ -12,7 +12,7 @@ from drape.body.assets import load_body
 from drape.errors import MeshError
 from drape.garment import cloth_layer as cloth_layer_module
 from drape.garment.bound import OFF, ON, STIFF, Drawer
-from drape.garment.cloth_layer import SAME_M, VERTEX_LIMIT, cloth_layer, hung, joined
+from drape.garment.cloth_layer import SAME_M, VERTEX_LIMIT, cloth_layer, hung, join_sheets
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.registration import posed_by
 from drape.garment.sheets import with_used_vertices
@@ -40,7 +40,7 @@ def with_parts(*parts: tuple[np.ndarray, np.ndarray]) -> GarmentMesh:
 
 def taken(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray, np.ndarray]:
     """The cloth in ``mesh``, the kinds (D,) of its vertices, and how far [m] they are drawn from where they were."""
-    cloth = with_used_vertices(cloth_layer(joined(mesh), SKIN))
+    cloth = with_used_vertices(cloth_layer(join_sheets(mesh), SKIN))
     drawn = hung(mesh, mesh.vertices, cloth, BODY.regressor @ SKIN, SKIN)
     assert_array_equal(drawn.faces, mesh.faces)
     away = np.linalg.norm(Drawer(drawn, cloth.faces).draw(cloth.vertices) - mesh.vertices, axis=1)
@@ -60,7 +60,7 @@ def thick(by_m: float) -> GarmentMesh:
 
 
 def test_single_layer_is_left_as_it_is():
-    assert joined(CLOTH) is CLOTH
+    assert join_sheets(CLOTH) is CLOTH
     assert cloth_layer(CLOTH, SKIN) is CLOTH
 
 
@@ -99,7 +99,7 @@ def test_closed_ends_of_tubes_are_no_cloth_and_are_drawn():
 def test_a_crown_and_a_sole_stay():
     points, faces = tube(32, 12, radius_m=0.1, height_m=0.12)
     hat = closed(points, faces, slice(0, 1), 0.02)
-    assert joined(hat) is hat
+    assert join_sheets(hat) is hat
 
 
 def test_a_collar_hangs_on_its_shirt():
@@ -158,7 +158,7 @@ def test_deep_folds_are_not_the_sides_of_a_wall():
     radius = 0.26 + 0.02 * np.sin(40 * angle)
     folded = np.column_stack([radius * np.cos(angle), around[:, 1] - 0.6, radius * np.sin(angle)])
     mesh = plain_mesh("skirt", folded, faces)
-    assert cloth_layer(joined(mesh), SKIN) is mesh
+    assert cloth_layer(join_sheets(mesh), SKIN) is mesh
 
 
 def test_dense_cloth_is_thinned():
@@ -197,7 +197,7 @@ def test_panels_that_were_rounded_each_by_itself_have_no_cracks():
     front = CLOTH.vertices[CLOTH.faces][:, :, 2].mean(axis=1) > 0.0
     vertices = np.concatenate([CLOTH.vertices, CLOTH.vertices + 2e-4])
     faces = np.concatenate([CLOTH.faces[front], CLOTH.faces[~front] + len(CLOTH.vertices)])
-    sheets = joined(plain_mesh("shirt", vertices, faces))
+    sheets = join_sheets(plain_mesh("shirt", vertices, faces))
     assert len(meshes.boundary_loops(sheets.faces)) == len(meshes.boundary_loops(CLOTH.faces))
 
 
@@ -208,7 +208,7 @@ def test_materials_and_texture_stay_with_the_faces():
     )
     faces = np.concatenate([named.faces, named.faces[:1]])
     twice = replace(named, faces=faces, uv_faces=faces, face_material=np.append(named.face_material, 1))
-    cloth = cloth_layer(joined(twice), SKIN)
+    cloth = cloth_layer(join_sheets(twice), SKIN)
     assert_array_equal(cloth.face_material, named.face_material)
     assert_allclose(cloth.uv[cloth.uv_faces], uv[named.faces], rtol=0, atol=0)
 

@@ -16,7 +16,7 @@ from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake import intake_mesh
 from drape.garment.intake_options import DEFAULT_OPTIONS
 from drape.garment.jewellery import check_cloth, jewellery_on, jewellery_wearer
-from drape.garment.mesh_checks import place
+from drape.garment.mesh_checks import place_on_avatar
 from drape.garment.registration import posed_by
 from drape.garment.unnamed_avatar import worn_by
 from drape.garment.wearer_fields import known_parameters
@@ -99,7 +99,9 @@ def test_a_bangle_is_carried_by_its_forearm_and_drawn_as_it_came():
 def test_on_a_body_that_is_named_it_may_be_small():
     """A garment had 10 cm at least."""
     ring = replace(BANGLE, vertices=1000.0 * BANGLE.vertices)
-    np.testing.assert_allclose(place(ring, standard_avatar(BODY)).vertices, BANGLE.vertices, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        place_on_avatar(ring, standard_avatar(BODY)).vertices, BANGLE.vertices, rtol=0, atol=1e-9
+    )
 
 
 def test_a_necklace_goes_with_the_chest_though_half_of_it_lies_on_the_neck():

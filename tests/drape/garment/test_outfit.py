@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
-from drape.garment.cloth_layer import joined
+from drape.garment.cloth_layer import join_sheets
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake import intake, intake_outfit
 from drape.garment.outfit import MOST, garments_in, part_names, parted
@@ -93,7 +93,7 @@ def test_each_part_is_of_the_file():
     mesh = together(SKIRT, SHIRT)
     apart = plain_mesh("suit", mesh.vertices[mesh.faces.reshape(-1)], np.arange(mesh.faces.size).reshape(-1, 3))
     for whole in (mesh, apart):
-        sheets = joined(whole)
+        sheets = join_sheets(whole)
         parts = parted(whole, sheets, garments_in(sheets, SKIN, BODY))
         assert [len(part.faces) for part, _ in parts] == [len(SHIRT[1]), len(SKIRT[1])]
         for part, cut in parts:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drape.body.assets import load_body
-from drape.garment.cloth_layer import joined
+from drape.garment.cloth_layer import join_sheets
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.outfit import garments_in
 from drape.garment.panels import with_sewn_panels
@@ -51,7 +51,7 @@ def panels(thick_m: float = 0.0) -> GarmentMesh:
 @pytest.mark.parametrize("thick_m", [0.0, 0.001, 0.004])
 def test_panels_whose_borders_run_along_each_other_are_one_cloth(thick_m: float):
     mesh = panels(thick_m)
-    sheets = joined(mesh)
+    sheets = join_sheets(mesh)
     sewn, _ = with_sewn_panels(sheets, SKIN)
     area = pieces_of(sewn.vertices, sewn.faces)[1]
     assert area[0] == pytest.approx(AREA, rel=0.02)

@@ -13,7 +13,7 @@ from numpy.testing import assert_array_equal
 from drape.errors import InputError
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.grain import corner_uv
-from drape.garment.sewing import Edge, Seam, Sewing, near_lines, read_sewing, sewing_beside, sewn_hinges
+from drape.garment.sewing import FreeEdge, Seam, Sewing, near_lines, read_sewing, sewing_beside, sewn_hinges
 from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import grid
 
@@ -43,7 +43,7 @@ def strip() -> tuple[GarmentMesh, Sewing]:
         hem_width_m=0.015,
         panels=("left", "right"),
         seams=(Seam("middle", ("left", "right"), -1.2, rows, (rows, tuple(other[seam].tolist()))),),
-        edges=(Edge("hem", "hem", "left", rim, rim), Edge("side", "free", "right", (48, 49), (48, 49))),
+        edges=(FreeEdge("hem", "hem", "left", rim, rim), FreeEdge("side", "free", "right", (48, 49), (48, 49))),
     )
     return mesh, sewing
 

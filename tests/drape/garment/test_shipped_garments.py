@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 from drape.garment.cache import GARMENTS_DIR
 from drape.garment.fitting import fit_error, rest_garment
 from drape.geometry.closest import signed_distance
+from drape.geometry.meshes import signed_areas
 from recovery.catalogue.cuts import CATALOGUE
-from recovery.pattern.triangulate import signed_areas
 from tests.fixtures.garments import SHIPPED, default_body, reconstructed, shipped
 from tests.fixtures.laws import each
 from tests.recovery.pattern_setup import default_measurements

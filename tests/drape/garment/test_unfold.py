@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.garment import charts, fitting
 from drape.garment.fitting import fit_error, patch_fields
-from drape.garment.flatten import signed_areas
 from drape.garment.unfold import (
     FADE,
     Flattened,
@@ -20,6 +19,7 @@ from drape.garment.unfold import (
     without_folds,
 )
 from drape.geometry import jets
+from drape.geometry.meshes import signed_areas
 from tests.drape.cloth.cloth_shapes import grid, tube
 from tests.drape.garment.rest_garments import barrel
 from tests.drape.geometry.geometry_shapes import icosphere
@@ -80,7 +80,7 @@ def test_unfolded_charts_give_back_every_vertex():
     patch, weight = fields["chart_patch"], fields["chart_weight"].astype(np.float64)
     assert_allclose(weight.sum(axis=1), 1.0, rtol=0, atol=1e-6)
     scale = fields["patch_scale"].astype(np.float64)
-    local = scale[patch][..., None] * jets.evaluate(
+    local = scale[patch][..., None] * jets.evaluate_jet(
         fields["patch_jet"].astype(np.float64)[patch], fields["chart_uv"].astype(np.float64)
     )
     placed = np.einsum("vkab,vkb->vka", fields["patch_rotation"][patch], local + fields["chart_residual"])
@@ -103,7 +103,7 @@ def test_in_plane_jets_of_an_unfolded_chart_follow_a_quadratic_exactly(rng):
     weight[:, 0] = 1.0
     wanted = np.zeros((1, jets.JET_COUNT))
     wanted[0, : 2 * jets.IN_PLANE_COUNT] = rng.normal(size=2 * jets.IN_PLANE_COUNT)
-    local = 0.05 * jets.evaluate(np.broadcast_to(wanted, (60, 4, jets.JET_COUNT)), uv)
+    local = 0.05 * jets.evaluate_jet(np.broadcast_to(wanted, (60, 4, jets.JET_COUNT)), uv)
     start = np.zeros((1, jets.JET_COUNT))
     start[0, 1] = start[0, jets.IN_PLANE_COUNT + 2] = 1.0
     blend = charts.ChartBlend(np.zeros((60, 4), dtype=np.int32), weight)

@@ -15,7 +15,7 @@ from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake_options import IntakeOptions
 from drape.garment.mesh_checks import UNITS_M
 from drape.garment.modelled_on import modelled_on
-from drape.garment.registration import posed_by, unpack
+from drape.garment.registration import posed_by, unpack_parameters
 from drape.garment.searched_cloth import SearchedCloth
 from drape.garment.told_reading import ToldReading, told_reading
 from drape.garment.unnamed_avatar import on_standard, worn_by
@@ -141,8 +141,8 @@ def test_arms_unit_axis_and_place_of_a_shirt_are_found(shape: str, lift_rad: flo
     reading, shift = Reading("dm", 0.1, "+z", "-y"), np.array([0.4, 0.2, -0.1])
     found = the_wearer(shirt_on(parameters, reading, shift), BODY)
     assert (found.reading.unit, found.reading.up, found.reading.front) == ("dm", "+z", "-y")
-    pose = unpack(BODY, parameters)[1]
-    joints = BODY.posed_joints(pose[None], unpack(BODY, parameters)[0])[0]
+    pose = unpack_parameters(BODY, parameters)[1]
+    joints = BODY.posed_joints(pose[None], unpack_parameters(BODY, parameters)[0])[0]
     way = joints[18] - joints[16]
     assert abs(found.arms_deg - np.degrees(np.arctan2(-way[1], np.hypot(way[0], way[2])))) < 2.0
     theirs = posed_by(BODY, found.parameters)

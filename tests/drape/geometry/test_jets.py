@@ -96,27 +96,29 @@ def test_full_jets_are_the_same_surface(jet, uv):
     assert full.shape[-1] == jets.FULL_COUNT
     assert_array_equal(jets.full(full), full)
     for derivative in ({}, {"u_times": 1}, {"v_times": 2}):
-        assert_allclose(jets.evaluate(full, uv, **derivative), jets.evaluate(jet, uv, **derivative), rtol=0, atol=EXACT)
+        assert_allclose(
+            jets.evaluate_jet(full, uv, **derivative), jets.evaluate_jet(jet, uv, **derivative), rtol=0, atol=EXACT
+        )
     assert_array_equal(jets.pack(*jets.unpack(full)), full)
 
 
 def test_identity_jet_is_the_parameter_plane(uv):
     flat = monge(np.zeros(jets.HEIGHT_COUNT))
-    assert_allclose(jets.evaluate(flat, uv), np.c_[uv, np.zeros(50)], rtol=0.0, atol=EXACT)
+    assert_allclose(jets.evaluate_jet(flat, uv), np.c_[uv, np.zeros(50)], rtol=0.0, atol=EXACT)
     assert_allclose(jets.normal(flat, uv), np.tile([0.0, 0.0, 1.0], (50, 1)), rtol=0.0, atol=EXACT)
 
 
 def test_evaluation_is_linear_in_the_coefficients(jet, uv, rng):
     other = rng.normal(size=jet.shape)
-    want = 2.0 * jets.evaluate(jet, uv) - 3.0 * jets.evaluate(other, uv)
-    assert_allclose(jets.evaluate(2.0 * jet - 3.0 * other, uv), want, rtol=0.0, atol=EXACT)
+    want = 2.0 * jets.evaluate_jet(jet, uv) - 3.0 * jets.evaluate_jet(other, uv)
+    assert_allclose(jets.evaluate_jet(2.0 * jet - 3.0 * other, uv), want, rtol=0.0, atol=EXACT)
 
 
 @pytest.mark.parametrize("shape", [(2,), (1, 2), (4, 3, 2), (0, 2)])
 def test_batch_axes_broadcast(shape, rng):
     where, coefficients = rng.normal(size=shape), rng.normal(size=jets.JET_COUNT)
     scale = np.array(0.3)
-    assert jets.evaluate(coefficients, where).shape == (*shape[:-1], 3)
+    assert jets.evaluate_jet(coefficients, where).shape == (*shape[:-1], 3)
     assert jets.normal(coefficients, where).shape == (*shape[:-1], 3)
     assert jets.curvature(coefficients, where, scale)[0].shape == shape[:-1]
 
@@ -159,7 +161,7 @@ def test_normals_are_unit_and_orthogonal_to_the_surface(jet, uv):
     n = jets.normal(jet, uv)
     assert_allclose(np.linalg.norm(n, axis=-1), 1.0, rtol=EXACT, atol=0.0)
     for times in ({"u_times": 1}, {"v_times": 1}):
-        assert_allclose((n * jets.evaluate(jet, uv, **times)).sum(-1), 0.0, rtol=0.0, atol=EXACT)
+        assert_allclose((n * jets.evaluate_jet(jet, uv, **times)).sum(-1), 0.0, rtol=0.0, atol=EXACT)
 
 
 def test_curvature_ignores_the_parameters_and_scales_with_the_inverse_length(jet, uv):
@@ -174,8 +176,8 @@ def test_curvature_ignores_the_parameters_and_scales_with_the_inverse_length(jet
 
 
 FUNCTIONS = {
-    "evaluate": lambda jet, uv, scale: jets.evaluate(jet, uv),
-    "second derivative": lambda jet, uv, scale: jets.evaluate(jet, uv, u_times=1, v_times=1),
+    "evaluate": lambda jet, uv, scale: jets.evaluate_jet(jet, uv),
+    "second derivative": lambda jet, uv, scale: jets.evaluate_jet(jet, uv, u_times=1, v_times=1),
     "normal": lambda jet, uv, scale: jets.normal(jet, uv),
     "mean curvature": lambda jet, uv, scale: jets.curvature(jet, uv, scale)[0],
     "gaussian curvature": lambda jet, uv, scale: jets.curvature(jet, uv, scale)[1],

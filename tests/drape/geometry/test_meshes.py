@@ -122,6 +122,11 @@ def test_areas_and_normals_of_a_box():
     assert ((normals * centres).sum(axis=1) > 0.0).all()
 
 
+def test_a_signed_area_is_that_of_the_triangle_and_turns_with_it():
+    uv = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 3.0]])
+    assert_allclose(meshes.signed_areas(uv, np.array([[0, 1, 2], [0, 2, 1], [0, 1, 1]])), [3.0, -3.0, 0.0], atol=0)
+
+
 def test_vertex_normals_of_a_sphere_are_radial():
     vertices, faces = icosphere(4)
     assert_allclose(meshes.vertex_normals(vertices, faces), vertices, rtol=0.0, atol=0.02)  # edges of 0.1 rad

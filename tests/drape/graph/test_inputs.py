@@ -12,8 +12,8 @@ from drape.contact.projection import PushFeed
 from drape.graph.feeds import body_feed, garment_feed
 from drape.graph.inputs import FEELS, PARTS, AgreementTensors, BodyTensors, ChartTensors, PatchTensors
 from drape.graph.layer_feed import LayerFeed, layer_feed
-from drape.graph.packed import PackedTensors
-from drape.graph.packing import Place, compose, pack_body, pack_garment
+from drape.graph.packed_inputs import PackedTensors
+from drape.graph.packing import Place, compose_garments, pack_body, pack_garment
 from drape.graph.push_feed import SkinShapes, push_feed
 from tests.fixtures.packed import garment
 from tests.fixtures.poses import random_motion
@@ -55,7 +55,7 @@ def test_packing_is_what_the_packed_graph_declares():
     packed = pack_garment(garment_feed(whole, body=body), np.zeros((whole.patch_count, WIDTH)))
     bodies = pack_body(body).rows(random_motion(FRAMES, seed=1)[0])
     bodies |= SkinShapes(body).feed(bodies["betas"]) | {"dynamic_code": np.zeros((FRAMES, 5), np.float32)}
-    items = compose([(packed, Place(0, 0), frame) for frame in range(FRAMES)])
+    items = compose_garments([(packed, Place(0, 0), frame) for frame in range(FRAMES)])
     lengths = check(PackedTensors.specs(PARTS, width=WIDTH), packed.stored | bodies | items.arrays)
     assert (lengths["bodies"], lengths["code"]) == (FRAMES, 5)
     assert lengths["patches"] == FRAMES * lengths["stored_patches"]

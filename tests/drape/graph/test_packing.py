@@ -13,8 +13,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.body.assets import load_body
 from drape.errors import ArtifactError
 from drape.graph.feeds import body_feed, garment_feed
-from drape.graph.packed import CHARTS_PER_TILE, COLUMNS, VERTICES_PER_BLOCK
-from drape.graph.packing import PackedGarment, Place, compose, pack_body, pack_garment, tile_charts
+from drape.graph.packed_inputs import CHARTS_PER_TILE, COLUMNS, VERTICES_PER_BLOCK
+from drape.graph.packing import PackedGarment, Place, compose_garments, pack_body, pack_garment, tile_charts
 from tests.fixtures.garments import tube
 from tests.fixtures.poses import random_motion
 
@@ -83,7 +83,7 @@ def test_body_rows_are_what_the_body_poses(packed):
 def test_compositions_point_where_they_should(items):
     made = two_garments()
     places = [Place(0, 0), Place(made[0].patch_count, made[0].tile_count)]
-    composition = compose([(made[g], places[g], row) for g, row in items])
+    composition = compose_garments([(made[g], places[g], row) for g, row in items])
     arrays = composition.arrays
     for item, (g, row) in enumerate(items):
         here = composition.patches[item]

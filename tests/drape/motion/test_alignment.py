@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import MotionError
 from drape.geometry.rotations import matrix_to_rotvec
-from drape.motion.alignment import joint_rotations, least_turn, rest_alignment
+from drape.motion.alignment import least_turn, rest_alignment, world_joint_rotations
 from drape.motion.t_pose import BONE_DIRECTIONS, CANONICAL_JOINTS, JOINT_INDEX
 
 EXACT = 1e-12
@@ -48,7 +48,7 @@ def test_a_turned_rest_pose_is_worth_its_turn_and_only_named_bones_are_measured(
 def test_a_joint_that_is_missing_goes_with_its_parent(rng):
     rotations = Rotation.random(2, rng=rng).as_matrix()[None]
     alignment = Rotation.random(JOINT_COUNT, rng=rng).as_matrix()
-    got = joint_rotations(rotations, {"pelvis": 0, "left_hip": 1}, alignment)
+    got = world_joint_rotations(rotations, {"pelvis": 0, "left_hip": 1}, alignment)
     assert_allclose(got[:, JOINT_INDEX["left_hip"]], rotations[:, 1] @ alignment[1], rtol=0.0, atol=EXACT)
     assert_allclose(got[:, JOINT_INDEX["left_foot"]], got[:, JOINT_INDEX["left_hip"]], rtol=0.0, atol=0.0)
     assert_allclose(got[:, JOINT_INDEX["head"]], got[:, 0], rtol=0.0, atol=0.0)

@@ -9,7 +9,7 @@ import pytest
 import torch
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drape.network.motion import MotionEncoder, advance, motion_encoder
+from drape.network.motion import MotionEncoder, advance_encoder, motion_encoder
 from tests.fixtures.networks import TINY
 from training.recurrent import DynamicEncoder
 
@@ -37,15 +37,15 @@ def test_codes_and_states_are_those_of_training(dtype: type, rng: np.random.Gene
     with torch.no_grad():
         want = [each.numpy() for each in model(*map(torch.from_numpy, (features, state, dt_s)))]
     given = [np.ascontiguousarray(each, dtype) for each in (features, state, dt_s)]
-    code, after = advance(encoder, *given)
+    code, after = advance_encoder(encoder, *given)
     assert_allclose(code[:, :12], want[0], rtol=0, atol=ROUNDING[dtype])
     assert_allclose(after, want[1], rtol=0, atol=ROUNDING[dtype])
     for i in range(4):
-        assert_array_equal(advance(encoder, *(each[i : i + 1] for each in given))[1][0], after[i])
+        assert_array_equal(advance_encoder(encoder, *(each[i : i + 1] for each in given))[1][0], after[i])
 
 
 def test_without_motion_a_state_of_zero_stays_and_gives_a_code_of_zero():
     _, encoder = made(np.float32)
     features, state = np.zeros((1, 24, 12), np.float32), np.zeros((1, 20), np.float32)
-    code, after = advance(encoder, features, state, np.ones(1, np.float32))
+    code, after = advance_encoder(encoder, features, state, np.ones(1, np.float32))
     assert not code.any() and not after.any()

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.artifacts import DEFAULT_MODEL, load_manifest, model_folder
-from drape.body.pose_support import read_pose_support
+from drape.body.pose_distance import read_pose_support
 from drape.network.novelty import kept_poses, novelty
 
 

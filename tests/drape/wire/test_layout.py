@@ -51,7 +51,7 @@ def test_vertices_are_the_weighted_mean_over_charts(kind: str, tube: Garment):
         for chart in range(whole.chart_patch.shape[1]):
             patch, weight = whole.chart_patch[vertex, chart], float(whole.chart_weight[vertex, chart])
             uv = whole.chart_uv[vertex, chart].astype(np.float64)
-            bent = whole.patch_scale[patch] * jets.evaluate(frame.jet[patch], uv)
+            bent = whole.patch_scale[patch] * jets.evaluate_jet(frame.jet[patch], uv)
             place = frame.rotation[patch] @ (local[vertex, chart] + bent) + frame.centre[patch]
             expected += weight * place
         assert_allclose(layout.vertices(frame)[vertex], expected + frame.root, rtol=0, atol=2e-6)

@@ -20,7 +20,7 @@ from drape.errors import DrapeError, MotionError, NotFound, Unavailable
 from service.errors import Busy, Full
 from service.exact import clip_folder as on_disk
 from service.exact import clip_queue
-from service.exact.block import Block
+from service.exact.block import FrameBlock
 from service.exact.clip_queue import ExactClips
 from service.http.exact_clips import exact_job_info
 from service.settings import Settings
@@ -84,7 +84,7 @@ def test_a_frame_that_is_not_solved_is_named(tmp_path: Path):
     told = {"force_share": 0.009, "depth_m": 0.0, "energy_j": 1.0, "start_j": 2.0, "start_crossings": 3, "steps": 4}
     frames = {0: {**told, "crossings": 0}, 1: {**told, "crossings": 2, "depth_m": 0.0634}}
     frames[2] = {**told, "crossings": 0, "force_share": 18.0}
-    job = clip_queue.ClipJob(on_disk.AcceptedClip("a", "tube", None, 3), tmp_path, state="done", told=frames)
+    job = clip_queue.ClipJob(on_disk.AcceptedClip("a", "tube", None, 3), tmp_path, state="done", figures=frames)
     first, second = exact_job_info(job).notes
     assert first.startswith("Frame 1 is not solved: 2 pairs") and "63.4 mm deep" in first and "0.9 %" in first
     assert second.startswith("Frame 2 is not solved: 0 pairs") and "1800.0 %" in second
@@ -250,7 +250,7 @@ def test_what_a_process_says_at_its_end_is_raised(make_settings: Callable[..., S
         monkeypatch.setattr(clip_queue, "BLOCK", name)
         monkeypatch.setenv("PYTHONPATH", str(tmp_path))
         some = np.zeros(1)
-        block = Block(None, None, None, some, some, tmp_path, some, some)  # pyright: ignore[reportArgumentType]
+        block = FrameBlock(None, None, None, some, some, tmp_path, some, some)  # pyright: ignore[reportArgumentType]
         asyncio.run(clips._computed(job, block))
 
     said = {"name": "disk", "expected": "room for a frame", "got": "No space left", "cure": "Make room, and ask again."}

@@ -31,7 +31,7 @@ from drape.inference.subgraph import cut
 from drape.stages.batch import PoseInput
 from drape.stages.walk import run
 from drape.wire.options import DrapeOptions
-from model_export.parity import hard_poses
+from model_export.parity import parity_poses
 from model_export.readable_graphs import DrapeGraph, drape_inputs
 from service.compute.drape_runtime import DrapeRuntime
 from tests.fixtures.packed import KINDS, described, exported, garment
@@ -208,7 +208,7 @@ def test_nothing_that_a_plan_does_not_ask_for_is_computed(plan: ScenePlan, tmp_p
 
 
 def test_the_posed_skin_is_that_of_the_bones_and_bodies_may_differ_in_shape():
-    body, poses = load_body(), hard_poses(3, seed=2)
+    body, poses = load_body(), parity_poses(3, seed=2)
     betas = [np.zeros(10), np.linspace(-1.0, 1.0, 10), np.zeros(10)]
     rows = [pack_body(body, shape).rows(poses[i : i + 1]) for i, shape in enumerate(betas)]
     joined = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}

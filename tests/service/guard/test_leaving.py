@@ -24,7 +24,7 @@ from drape.garment.cache import Garment
 from drape.geometry.raster import Surface, render
 from drape.stages.stage import KeptConstants
 from drape.wanted import WANTED, Unwanted
-from drape.wire.clips import pack_clip
+from drape.wire.clip_message import pack_clip
 from service.app import create_app
 from service.settings import Settings
 from tests.fixtures.meshes import garment_obj

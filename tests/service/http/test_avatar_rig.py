@@ -14,8 +14,8 @@ from websockets.sync.client import connect
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
 from drape.motion.rig_poses import poses_to_rig
 from drape.wire import messages as wire
-from drape.wire.clips import pack_clip
-from drape.wire.rig_poses import RigPose, pack_rig_pose
+from drape.wire.clip_message import pack_clip
+from drape.wire.rig_pose_message import RigPose, pack_rig_pose
 from service.compute.drape_runtime import DrapeRuntime
 from tests.fixtures.avatar_calls import NUMBERS, POSES, draped, posed, stream_of
 from tests.fixtures.glb_reader import Reader

@@ -113,7 +113,7 @@ def test_a_file_that_is_no_character_leaves_nothing(api: httpx.Client, settings:
 
 
 def test_avatars_are_there_after_a_new_start(avatar: str, runtime_of_api: DrapeRuntime, settings: Settings):
-    assert runtime_of_api.avatars.get(avatar).told.vrm == "0"
+    assert runtime_of_api.avatars.get(avatar).facts.vrm == "0"
     folder = settings.garments_dir / in_service.FOLDER
     (folder / "bad.json").write_text("{}")
     assert len(in_service.Avatars(runtime_of_api.body, settings, runtime_of_api.stages_on).visible(None)) == 1

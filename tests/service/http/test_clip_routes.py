@@ -14,7 +14,7 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric_table import fabric
 from drape.contact.projection import MOVED_M
 from drape.garment.cache import Garment
-from drape.garment.files.glb import read_glb
+from drape.garment.files.gltf_mesh import read_glb
 from drape.geometry.closest import signed_distance
 from drape.stages.batch import Batch, PoseInput
 from drape.stages.walk import run

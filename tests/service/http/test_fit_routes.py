@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.body.measures import Levels, Measures, landmarks, measures
+from drape.body.measures import Measures, SectionHeights, landmarks, measures
 from drape.body.model import BodyModel
 from drape.body.shape_of_measures import measure_ranges, shape_of_measures
 from drape.garment.cache import Garment
@@ -20,7 +20,7 @@ BINARY = {"Accept": "application/octet-stream"}
 
 def test_documents_have_the_fields_of_what_they_tell():
     assert tuple(MeasureNumbers.model_fields) == tuple(ShapeRequest.model_fields) == Measures._fields
-    assert tuple(LevelNumbers.model_fields) == Levels._fields
+    assert tuple(LevelNumbers.model_fields) == SectionHeights._fields
     assert tuple(RegionNumbers.model_fields) == Region._fields
     assert tuple(EaseNumbers.model_fields) == (*Ease._fields, "ease_m")
 

@@ -19,7 +19,7 @@ from drape.cloth.fabric_table import FABRICS
 from drape.errors import ArtifactError, TooLarge
 from drape.garment.bound import BoundMesh
 from drape.garment.cache import Garment, save_garment
-from drape.wire.folds import unpack_folds
+from drape.wire.folds_message import unpack_folds
 from drape.wire.options import FabricNumbers
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.garments import check_garment, slug

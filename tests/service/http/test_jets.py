@@ -30,7 +30,7 @@ from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.guard.key_file import ANYONE
 from service.http.answers import BINARY, GLB, JSON
-from service.http.clip_jobs import ClipJob
+from service.http.clip_jobs import RequestedClip
 from service.http.clip_routes import check_clip_size
 from service.http.schemas import ClipOptions
 from tests.fixtures.garments import ship
@@ -181,7 +181,7 @@ def test_an_answer_of_jets_has_the_same_limit(make_runtime: Callable[..., DrapeR
         asked = ClipOptions(garment="tube", geometry="jets")
         plan, zeros = runtime.plan(entry, asked, messages=True), np.zeros((frames, 3))
         clip = PoseInput(np.zeros((frames, 24, 3)), zeros, np.zeros(10), np.zeros(frames))
-        check_clip_size(ClipJob(plan, clip, asked, ANYONE), BINARY, runtime.settings)
+        check_clip_size(RequestedClip(plan, clip, asked, ANYONE), BINARY, runtime.settings)
 
     check(10)
     with pytest.raises(TooLarge, match="11 frames of 12 patches"):

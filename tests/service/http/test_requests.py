@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drape.wire.clips import pack_clip
+from drape.wire.clip_message import pack_clip
 from service import app as application
 from service.app import make_state
 from service.compute.drape_runtime import DrapeRuntime

@@ -24,7 +24,7 @@ from clients.stream import DrapeStream
 from drape.errors import InputError, TooLarge
 from drape.wire import messages as wire
 from drape.wire.options import Advanced, DrapeOptions
-from drape.wire.state import join_state, split_state
+from drape.wire.state_pieces import join_state, split_state
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.errors import Busy, Unauthorized
@@ -35,7 +35,7 @@ from service.replicas.handover import LIFE_S, STATE_BYTES, Handover
 from service.replicas.memory_codec import decode_value, encode_value
 from service.settings import Settings
 from service.stream import opening
-from service.stream.session import Session
+from service.stream.session import StreamSession
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import serve, served
 from tests.fixtures.streams import PROTOCOLS, page_command, stream_address
@@ -233,7 +233,7 @@ def test_a_state_is_for_its_key_scene_and_minute_only(runtime: DrapeRuntime):
     handover, ours = Handover(runtime, Tickets(SECRET)), Client("shop")
     plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
     betas = np.zeros(10)
-    session = Session(plan, betas, 2, runtime.steps(plan), dropped=3)
+    session = StreamSession(plan, betas, 2, runtime.steps(plan), dropped=3)
     blob = handover.state(session, ours, 1, now_s=1000.0)
 
     def read(blob: bytes = blob, client: Client = ours, at_s: float = 1001.0, **changes: Any):
@@ -261,7 +261,7 @@ def test_a_state_is_for_its_key_scene_and_minute_only(runtime: DrapeRuntime):
 
 def test_a_state_that_nobody_could_read_or_that_is_too_long_is_not_made(runtime: DrapeRuntime):
     plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
-    session = Session(plan, np.zeros(10), 2, memories={("folds", "key"): np.zeros(9 * 2**20, np.uint8)})
+    session = StreamSession(plan, np.zeros(10), 2, memories={("folds", "key"): np.zeros(9 * 2**20, np.uint8)})
     assert Handover(runtime, Tickets()).state(session, Client(), 0) == b""
     assert Handover(runtime, Tickets(SECRET)).state(session, Client(), 0) == b""
 

@@ -30,7 +30,7 @@ from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.threads import SlicedThread
 from service.settings import Settings
-from service.stream.session import Opening, Session
+from service.stream.session import Opening, StreamSession
 from service.stream.workers import Streams
 from tests.fixtures.packed import MOVING
 from tests.fixtures.poses import smooth_motion
@@ -276,11 +276,11 @@ def test_a_jittering_clock_makes_no_explosion(runtime: DrapeRuntime):
 # --- streams ---
 
 
-def put(session: Session, index: int, times_s: np.ndarray, poses: np.ndarray, trans: np.ndarray) -> None:
+def put(session: StreamSession, index: int, times_s: np.ndarray, poses: np.ndarray, trans: np.ndarray) -> None:
     session.put(wire.Pose(index, float(times_s[index]), trans[index], poses[index]))
 
 
-def run_frames(streams: Streams, sessions: list[Session]) -> list[wire.Frame]:
+def run_frames(streams: Streams, sessions: list[StreamSession]) -> list[wire.Frame]:
     """Lets all that wait be computed in one batch; their frames."""
 
     async def once() -> None:
@@ -298,9 +298,9 @@ def run_frames(streams: Streams, sessions: list[Session]) -> list[wire.Frame]:
     return frames
 
 
-def open_sessions(runtime: DrapeRuntime, knobs: list[float]) -> tuple[Streams, list[Session]]:
+def open_sessions(runtime: DrapeRuntime, knobs: list[float]) -> tuple[Streams, list[StreamSession]]:
     streams = Streams(runtime, SlicedThread())
-    sessions = [Session(plan_of(runtime, knob, messages=True), NO_SHAPE, credit=2) for knob in knobs]
+    sessions = [StreamSession(plan_of(runtime, knob, messages=True), NO_SHAPE, credit=2) for knob in knobs]
     for session in sessions:
         streams.add(session)
     return streams, sessions

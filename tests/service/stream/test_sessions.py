@@ -18,7 +18,7 @@ from drape.wire.options import Advanced, DrapeOptions
 from service.compute.background import processor_count
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.threads import SlicedThread
-from service.stream.session import Session
+from service.stream.session import StreamSession
 from service.stream.workers import Streams
 
 REST = np.zeros((24, 3))
@@ -28,7 +28,7 @@ def test_one_bad_pose_does_not_fail_its_batch(make_runtime: Callable[..., DrapeR
     runtime = make_runtime(stream_threads=1)
     plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(advanced=Advanced(push_out=False)), messages=True)
     streams = Streams(runtime, SlicedThread())
-    sessions = [Session(plan, np.zeros(10), credit=2) for _ in range(3)]
+    sessions = [StreamSession(plan, np.zeros(10), credit=2) for _ in range(3)]
     poses = [REST, np.full((24, 3), np.nan), REST]
     for i, (session, pose) in enumerate(zip(sessions, poses, strict=True)):
         session.put(wire.Pose(i, 0.0, np.zeros(3), pose))
@@ -50,7 +50,7 @@ def test_the_longest_waiting_pose_goes_first_with_all_of_its_plan(make_runtime: 
     other = type(tube)("other", tube.garment, tube.source)
     streams = Streams(runtime, SlicedThread())
     plans = [runtime.plan(entry, DrapeOptions(), messages=True) for entry in (other, tube, other, other)]
-    sessions = [Session(plan, np.zeros(10), credit=1) for plan in plans]
+    sessions = [StreamSession(plan, np.zeros(10), credit=1) for plan in plans]
     for session in (sessions[2], sessions[1], sessions[0], sessions[3]):
         session.put(wire.Pose(0, 0.0, np.zeros(3), REST))
         streams.add(session)
@@ -63,7 +63,7 @@ def test_the_longest_waiting_pose_goes_first_with_all_of_its_plan(make_runtime: 
 
 def test_an_acknowledgement_that_was_not_earned_is_refused(make_runtime: Callable[..., DrapeRuntime]):
     runtime = make_runtime()
-    session = Session(runtime.plan(runtime.garments.get("tube"), DrapeOptions()), np.zeros(10), credit=1)
+    session = StreamSession(runtime.plan(runtime.garments.get("tube"), DrapeOptions()), np.zeros(10), credit=1)
     with pytest.raises(InputError, match="ack message"):
         session.acknowledge(0)
 
@@ -114,9 +114,9 @@ def test_a_frame_is_left_to_a_worker_that_still_computes(make_runtime: Callable[
     runtime = make_runtime(stream_threads=2)
     streams = Streams(runtime, SlicedThread())
     plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
-    sessions = [Session(plan, np.zeros(10), credit=2) for _ in range(3)]
+    sessions = [StreamSession(plan, np.zeros(10), credit=2) for _ in range(3)]
 
-    async def beside() -> list[Session]:
+    async def beside() -> list[StreamSession]:
         begun, go_on, compute = asyncio.Event(), asyncio.Event(), runtime.stream_frames
 
         async def slow(*asked):
@@ -145,7 +145,7 @@ def test_waiting_streams_are_shared_out_among_free_workers(make_runtime: Callabl
     runtime = make_runtime(stream_threads=2)
     streams = Streams(runtime, SlicedThread())
     plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
-    sessions = [Session(plan, np.zeros(10), credit=2) for _ in range(3)]
+    sessions = [StreamSession(plan, np.zeros(10), credit=2) for _ in range(3)]
     for session in sessions:
         session.put(wire.Pose(0, 0.0, np.zeros(3), REST))
         streams.add(session)
@@ -178,7 +178,7 @@ def test_streams_are_computed_beside_each_other_and_each_frame_after_the_one_bef
 
     monkeypatch.setattr(runtime, "_computed", together)
     streams = Streams(runtime, SlicedThread())
-    sessions = [Session(plan, np.zeros(10), credit=2) for _ in range(2)]
+    sessions = [StreamSession(plan, np.zeros(10), credit=2) for _ in range(2)]
 
     async def frames() -> list[list[np.ndarray]]:
         streams.start()

@@ -26,7 +26,7 @@ from service.app import create_app
 from service.errors import Draining
 from service.settings import Settings
 from service.state import State
-from service.stream.session import Session
+from service.stream.session import StreamSession
 from service.watch.probes import Lifecycle
 from tests.fixtures.fuzzing import examples
 from tests.fixtures.serving import serve
@@ -343,9 +343,9 @@ class Streams(RuleBasedStateMachine):
             time.sleep(0.005)
 
 
-def sessions() -> list[Session]:
+def sessions() -> list[StreamSession]:
     gc.collect()
-    return [one for one in gc.get_objects() if type(one) is Session]
+    return [one for one in gc.get_objects() if type(one) is StreamSession]
 
 
 def test_any_sequence_of_messages_keeps_the_rules_of_streams(running: Running):

@@ -228,12 +228,12 @@ def test_of_records_the_newest_are_kept(tmp_path: Path, monkeypatch: pytest.Monk
     for number in range(5):
         JobRecord(f"{number:012x}", "shirt", None, "done", "shirt").write(tmp_path)
         os.utime(tmp_path / job_records.FOLDER / f"{number:012x}.json", (number, number))
-    assert [job_records.read_record(tmp_path, f"{number:012x}") is not None for number in range(5)] == [
+    assert [job_records.read_job_record(tmp_path, f"{number:012x}") is not None for number in range(5)] == [
         False, False, True, True, True,
     ]  # fmt: skip
     job_records.remove_record(tmp_path, f"{4:012x}")
     job_records.remove_record(tmp_path, f"{4:012x}")
-    assert job_records.read_record(tmp_path, f"{4:012x}") is None
+    assert job_records.read_job_record(tmp_path, f"{4:012x}") is None
 
 
 def test_uploads_of_another_host_are_taken_over_when_nothing_is_heard_of_it(tmp_path: Path):

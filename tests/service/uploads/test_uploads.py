@@ -23,7 +23,7 @@ from service.guard.access import Access
 from service.settings import Settings
 from service.uploads import jobs
 from service.uploads.accepted import Accepted
-from service.uploads.job_records import JobRecord, read_record
+from service.uploads.job_records import JobRecord, read_job_record
 from service.uploads.jobs import SHARES, Job, Uploads, warnings_of
 from tests.drape.cloth.cloth_shapes import tube as tube_shape
 from tests.drape.garment.garment_files import obj_text
@@ -80,7 +80,7 @@ def test_of_an_intakes_notes_the_warnings_are_told_and_kept(tmp_path: Path):
     left_out = "a picture is left out"
     assert warnings_of(["2 openings", f"warning: {left_out}"]) == (left_out,)
     JobRecord("one", "shirt", None, "done", "shirt", notes=(left_out,)).write(tmp_path)
-    kept = read_record(tmp_path, "one")
+    kept = read_job_record(tmp_path, "one")
     assert kept is not None and list(kept.notes) == [left_out]
 
 

@@ -24,7 +24,7 @@ from websockets.asyncio.client import connect
 from drape.body.model import BodyModel
 from drape.wire import messages as wire
 from service.server import bind_listener
-from service.stream.session import Session
+from service.stream.session import StreamSession
 from service.watch import prometheus as service_metrics
 from service.watch.probes import MOST_CLIENTS, Lifecycle, Probes
 from service.watch.prometheus import Metrics
@@ -139,7 +139,7 @@ FRAME = wire.pack_frame(wire.Frame(7, 0.0, 0.0, np.zeros(3), np.zeros((1, 3), np
 
 
 def test_the_way_of_a_frame_is_known_when_it_is_taken():
-    session = Session(plan=None, betas=np.zeros(1), credit=1)  # pyright: ignore[reportArgumentType]
+    session = StreamSession(plan=None, betas=np.zeros(1), credit=1)  # pyright: ignore[reportArgumentType]
     session.put(wire.Pose(7, 0.0, np.zeros(3), np.zeros((24, 3))))
     session.take()
     session.deliver(0, FRAME, {}, since_s=1.0)

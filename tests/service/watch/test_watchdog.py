@@ -85,7 +85,7 @@ def test_a_job_moves_by_its_word_or_by_its_time_and_otherwise_not():
         one.silent = True
         assert one.look(begun_s + watchdog.MOST_S + 9.0) > watchdog.MOST_S, "it computes for ever"
 
-    with watchdog.Lane("test", 1) as lane:
+    with watchdog.ThreadLane("test", 1) as lane:
         lane.submit(called).result()
         assert not [found for found in JOBS if found.lane == "test"]
 
@@ -118,7 +118,7 @@ def test_a_job_that_has_not_moved_is_told():
         waiting.set()
         free.wait(LONG_S)
 
-    with watchdog.Lane("test", 1) as lane:
+    with watchdog.ThreadLane("test", 1) as lane:
         lane.submit(wait)
         waiting.wait(LONG_S)
         watching._look(time.monotonic() + 9.0)

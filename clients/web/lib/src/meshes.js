@@ -1,4 +1,4 @@
-// Meshes at rest as they come (drape/wire/meshes.py): a garment's triangles as graphics cards take them, and the body.
+// Meshes at rest as they come (drape/wire/mesh_messages.py): a garment's triangles for graphics cards, and the body.
 import { BYTES, readHeader } from "./wire.js";
 
 // Reads whole numbers one array after the other: differences from the number lag places before, zigzagged, in planes of bytes.

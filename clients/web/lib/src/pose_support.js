@@ -1,4 +1,4 @@
-// How unlike the poses of training a pose is. A copy of drape/body/pose_support.py for browsers.
+// How unlike the poses of training a pose is. A copy of drape/body/pose_distance.py for browsers.
 import { JOINT_NAMES } from "./humanoid.js";
 import { ofVector } from "./turns.js";
 

@@ -14,7 +14,7 @@ import pytest
 
 from tests.architecture.repository import ROOT
 from tests.drape.files.test_gltf_compressed import draco_gltf, meshopt_gltf
-from tests.drape.garment.files.test_fbx import POLYGONS, SQUARE, UV
+from tests.drape.garment.files.test_fbx_mesh import POLYGONS, SQUARE, UV
 from tests.drape.garment.files.test_looks import OBJ, ZIP, glb_of, picture, whole, zipped
 from tests.drape.garment.files.test_usd_looks import PICTURES, usda
 from tests.fixtures.fbx_writer import fbx_of

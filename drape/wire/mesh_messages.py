@@ -64,7 +64,7 @@ def _uv_metres(vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray, uv_faces
     return float(np.median(lengths / across[known]))
 
 
-def pack_body(
+def pack_body_mesh(
     vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, bones: np.ndarray, weights: np.ndarray
 ) -> bytes:
     """The BODY of ``vertices`` (V, 3) [m] and ``faces`` (F, 3) at rest, its 24 ``joints`` (24, 3) [m], and of each

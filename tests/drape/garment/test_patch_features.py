@@ -7,16 +7,15 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.skeleton import JOINT_COUNT
-from drape.garment import features
-from drape.garment.features import patch_features, positional_encoding
 from drape.garment.fitting import rest_garment
+from drape.garment.patch_features import BOUNDARY_REACH_M, FREQUENCIES, patch_features, positional_encoding
 from drape.geometry import jets
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.garment.rest_garments import PATCH_COUNT, barrel, barrel_garment, side_by_side
 from tests.drape.geometry.geometry_shapes import icosphere
 from tests.fixtures.garments import default_body
 
-ENCODED = 3 + 6 * len(features.FREQUENCIES)
+ENCODED = 3 + 6 * len(FREQUENCIES)
 SIZES = {
     "position": ENCODED,
     "rotation": 6,
@@ -130,16 +129,14 @@ def closed_features(vertices, faces):
 
 def test_mesh_without_a_hem_has_one_far_away():
     rows = closed_features(*icosphere(3, radius_m=0.1))
-    assert_allclose(part(rows, "hem distance"), 10.0 * features.BOUNDARY_REACH_M, rtol=1e-6, atol=0.0)
+    assert_allclose(part(rows, "hem distance"), 10.0 * BOUNDARY_REACH_M, rtol=1e-6, atol=0.0)
     assert_array_equal(part(rows, "hem direction"), np.zeros((4, 3)))
 
 
 def test_closed_piece_beside_an_open_one_has_no_hem():
     rows = closed_features(*side_by_side(grid(4, 4), icosphere(2, radius_m=0.1)))
     # The last seed lies on the open grid, the first on the sphere.
-    assert_allclose(
-        part(rows, "hem distance")[[0, 3], 0], [10.0 * features.BOUNDARY_REACH_M, 0.0], rtol=1e-6, atol=1e-6
-    )
+    assert_allclose(part(rows, "hem distance")[[0, 3], 0], [10.0 * BOUNDARY_REACH_M, 0.0], rtol=1e-6, atol=1e-6)
     assert np.isfinite(rows).all()
 
 
@@ -154,7 +151,7 @@ def test_positional_encoding_holds_points_sines_and_cosines(rng):
     rows = positional_encoding(points)
     assert rows.shape == (5, ENCODED)
     assert_array_equal(rows[:, :3], points)
-    waves = rows[:, 3:].reshape(5, len(features.FREQUENCIES), 2, 3)
+    waves = rows[:, 3:].reshape(5, len(FREQUENCIES), 2, 3)
     assert_allclose((waves**2).sum(axis=2), 1.0, rtol=0.0, atol=1e-12)
     shifted = positional_encoding(points + 2.0)[:, 3:].reshape(waves.shape)  # two metres hold whole waves
     assert_allclose(shifted, waves, rtol=0.0, atol=1e-12)

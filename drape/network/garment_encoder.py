@@ -10,10 +10,10 @@ import numpy as np
 from drape.engine.library import LANES
 from drape.graph.inputs import SLOPE
 from drape.network.dense import Layer, Rows, layer, rows_of, run_layer
-from drape.network.weights import layers_of
+from drape.network.weights import parameter_layers
 
 
-class GarmentEncoder(NamedTuple):
+class EncoderLayers(NamedTuple):
     """Statistics of patch features, both parts of the encoder, and what decoding begins with. Its layers have no tiles:
     a garment is encoded once."""
 
@@ -23,12 +23,12 @@ class GarmentEncoder(NamedTuple):
     second: tuple[Layer, ...]
 
 
-def garment_encoder(parameters: Mapping[str, np.ndarray]) -> GarmentEncoder:
+def garment_encoder(parameters: Mapping[str, np.ndarray]) -> EncoderLayers:
     """The encoder of ``parameters`` by their names in training."""
-    first, second = (layers_of(parameters, f"garment.{part}.") for part in ("first", "second"))
+    first, second = (parameter_layers(parameters, f"garment.{part}.") for part in ("first", "second"))
     slopes = [*[SLOPE] * (len(second) - 1), 1.0, 1.0]
     second.append((parameters["decoder.from_patch.weight"], parameters["decoder.from_patch.bias"]))
-    return GarmentEncoder(
+    return EncoderLayers(
         parameters["garment.standardise.mean"],
         parameters["garment.standardise.inverse_deviation"],
         tuple(layer(*each, SLOPE, tiles=False) for each in first),
@@ -36,7 +36,7 @@ def garment_encoder(parameters: Mapping[str, np.ndarray]) -> GarmentEncoder:
     )
 
 
-def encoded(encoder: GarmentEncoder, features: np.ndarray) -> np.ndarray:
+def encoded(encoder: EncoderLayers, features: np.ndarray) -> np.ndarray:
     """The garment's half of the first layer (K, n) of the patches with ``features`` (K, m), float32."""
     own = np.clip((features - encoder.mean) * encoder.inverse_deviation, -5.0, 5.0).astype(np.float32)
     x = rows_of(own)

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from drape.wire import messages as wire
-from drape.wire.meshes import MESH_HEADER_BYTES, STEP_M, pack_body, pack_mesh
+from drape.wire.mesh_messages import MESH_HEADER_BYTES, STEP_M, pack_body_mesh, pack_mesh
 
 FACES = np.array([[0, 1, 2], [2, 1, 3]])
 VERTICES = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [2.0, 2.0, 0.0], [9.0, 9.0, 9.0]])
@@ -62,7 +62,7 @@ def test_coordinates_that_are_all_the_same_or_far_away_are_kept_to_a_step(far: f
 def test_a_body_is_its_places_bones_and_weights(rng):
     joints, bones = rng.normal(size=(24, 3)), rng.integers(0, 24, (5, 4)).astype(np.uint8)
     weights = -np.sort(-rng.dirichlet(np.ones(4), 5), axis=1)
-    message = pack_body(VERTICES, FACES, joints, bones, weights)
+    message = pack_body_mesh(VERTICES, FACES, joints, bones, weights)
     said = fields(message, "BODY")
     at = wire.record(wire.LAYOUTS["BODY"]).size
     assert_array_equal(whole(message, at, 6, 1), FACES.ravel())

@@ -20,7 +20,7 @@ BANDS = ("fine", "middle", "coarse")
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
+class ClothLooks:
     """The looks of a garment with the ``rest`` state of its ``faces`` (F, 3), whose vertices are at ``place`` [m]
     (V, 3) at rest."""
 

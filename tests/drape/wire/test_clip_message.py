@@ -13,7 +13,7 @@ from numpy.testing import assert_array_equal
 
 from drape.errors import InputError, MotionError
 from drape.wire import messages as wire
-from drape.wire.clips import FRAME_BYTES, HEADER_BYTES, frame_bytes, of_rig, pack_clip, unpack_clip
+from drape.wire.clip_message import FRAME_BYTES, HEADER_BYTES, frame_bytes, of_rig, pack_clip, unpack_clip
 
 POSES, TRANS = np.linspace(-1.0, 1.0, 144).reshape(2, 24, 3), np.arange(6.0).reshape(2, 3)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drape.artifacts import DEFAULT_MODEL, load_manifest, model_folder
-from drape.body.pose_support import LEGS, TRUNK, PoseSupport, pose_parts, read_pose_support, wandering
+from drape.body.pose_distance import LEGS, TRUNK, PoseSupport, pose_parts, read_pose_support, wandering
 from drape.catalog import MOTIONS_DIR
 from drape.errors import ArtifactError
 from drape.geometry.rotations import matrix_to_rotvec, matrix_to_sixd, rotvec_to_matrix

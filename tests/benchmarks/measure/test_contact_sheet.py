@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.measure.sheet import SIDE_PX, draw_sheet
+from benchmarks.measure.contact_sheet import SIDE_PX, draw_sheet
 from drape.errors import Unavailable
 from tests.drape.cloth.cloth_shapes import grid
 

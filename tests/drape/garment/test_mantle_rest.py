@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 
 from drape.body.assets import load_body
 from drape.garment.avatars import Avatar
+from drape.garment.mantle_rest import spread
 from drape.garment.mantle_shapes import DIRECTIONS, SPREAD, pose_of, shares_of, ways_to, worn
-from drape.garment.mantles import spread
 from drape.garment.rest_pose import MovedGarment
 from drape.garment.skin import bind_to_body
 from drape.garment.sleeves import covers_arms

@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 
 from drape.errors import DrapeError, InputError, MotionError
 from drape.wire import messages as wire
-from drape.wire.rig_poses import HEADER_BYTES, RigPose, pack_rig_pose, unpack_rig_pose
+from drape.wire.rig_pose_message import HEADER_BYTES, RigPose, pack_rig_pose, unpack_rig_pose
 
 NODES = 5
 REST = np.tile(np.array([0.0, 0.0, 0.0, 1.0], np.float32), (NODES, 1))
