@@ -109,9 +109,9 @@ def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
 
 
 def in_fabrics(bench: Bench, options: argparse.Namespace) -> list[Bench]:
-    """``bench`` in each of ``--fabrics``, or in what the network drapes by default.
+    """Returns ``bench`` in each of ``--fabrics``, or in the fabric that the network drapes by default.
 
-    Refuses (``NotFound``) what is no fabric, and (``InputError``) fabrics beside ``--material``.
+    Refuses (``NotFound``) the name of an unknown fabric, and (``InputError``) fabrics beside ``--material``.
     """
     names = options.fabrics
     if names and options.material is not None:
@@ -177,7 +177,9 @@ def drapes(garment: Garment, bench: Bench, judge: Judged, draped: np.ndarray) ->
 
 
 def chart_figures(garment: Garment, draped: NetworkDrape) -> dict[str, float]:
-    """How much overlapping charts disagree before blending: 99th percentiles over all entries and vertices."""
+    """Returns how much overlapping charts disagree before blending, as 99th percentiles: the gap [mm] over all chart
+    entries, and the angle of normals [deg] over all vertices.
+    """
     found = disagreement(garment, draped.jet, draped.rotation, draped.centre)
     return {
         "chart_gap_p99_mm": 1e3 * float(np.percentile(found.gap_m, 99.0)),

@@ -57,7 +57,7 @@ def stills_of(garment: Garment) -> Looks:
 
 
 def input_of(clip: CaseClip, frame: int) -> PoseInput:
-    """A frame of ``clip`` on the body of mean shape."""
+    """Returns the pose of one ``frame`` of ``clip`` as the input of a drape, on the body of mean shape."""
     rows, shape = slice(frame, frame + 1), np.zeros(clip.body.shape_count)
     return PoseInput(clip.poses[rows], clip.trans[rows], shape, np.array([frame / clip.fps]))
 
@@ -97,7 +97,10 @@ class Stills:
         return [self.rows[key] for key in keys]
 
     def exact_of(self, garment: Garment, clip: CaseClip, frame: int, *, made: bool = False) -> Row | None:
-        """The row of the exact drape of ``garment`` alone; of one that there is not: none, or else it is ``made``."""
+        """Returns the row of the exact drape of ``garment``, worn alone, in the pose of a ``frame`` of ``clip``.
+
+        Where the record has none it is computed if ``made`` is true; otherwise None is returned.
+        """
         key = garment.name, worn_digest([garment], garment), clip.name, frame, EXACT
         if key not in self.rows and made:
             start, body, fine = input_of(clip, frame), clip.body, fine_garment(garment)

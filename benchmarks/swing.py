@@ -141,7 +141,12 @@ def hem_parts(x: np.ndarray, scene: CaseScene) -> np.ndarray:
 
 
 def hem_figures(x: np.ndarray, scene: CaseScene, static: np.ndarray, simulator: np.ndarray | None) -> Row:
-    """The measures of ``x`` [m] (F, V, 3)."""
+    """Returns the figures of the hem in a swinging drape ``x`` [m] (F, V, 3) of ``scene``, against the drape without
+    swing, ``static`` (F, V, 3).
+
+    They are its rise [mm], its mean distance from the static hem [mm] and the jitter; how it comes to rest, where the
+    body stops; and the mean distance [mm] from the hem of ``simulator`` (F, V, 3), where that is given.
+    """
     still, own = (hem_parts(one.astype(np.float64), scene) for one in (static, x))
     moved, base = (one.astype(np.float64) + scene.clip.trans[:, None] for one in (x, static))
     height = own[..., 1].mean(axis=1)

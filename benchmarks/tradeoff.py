@@ -73,7 +73,10 @@ class Knobs:
     coarse: bool
 
     def options(self, pass_count: int, **others: Any) -> DrapeOptions:
-        """As a request says it, of cloth that does not swing; ``pass_count`` are all passes."""
+        """Returns the options of a request with these knobs, for cloth that does not swing.
+
+        ``pass_count`` is the number of passes that the model has, and ``others`` are further options.
+        """
         passes = pass_count if self.passes is None else self.passes
         if not self.folds:
             return DrapeOptions(tier="instant", motion=0.0, advanced=Advanced(passes=passes), **others)
@@ -153,7 +156,11 @@ def measure_knobs(case: Case, drapery: DrapeRuntime, knobs: Sequence[Knobs]) -> 
 
 
 def times(clock: Clock) -> dict[str, float]:
-    """The times of all frames but the first, which has no past."""
+    """Returns the median and the 95th percentile of the wall time [ms] of a frame and the median of its processor time
+    [ms].
+
+    The first frame, which has no past, does not count.
+    """
     wall, cpu = clock.wall_ms[1:], clock.cpu_ms[1:]
     return {
         "p50_ms": float(np.median(wall)),

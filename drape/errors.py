@@ -94,8 +94,9 @@ class Unavailable(DrapeError):
 
 
 def while_read(main: Callable[P, int]) -> Callable[P, int]:
-    """``main`` of a command, which ends without a word, and with the status of SIGPIPE, where nobody reads its output
-    any more (``... | head``)."""
+    """Wraps the ``main`` of a command. Where nobody reads its output any more (``... | head``) the wrapped function
+    ends silently, and returns the status of SIGPIPE.
+    """
 
     @functools.wraps(main)
     def written(*args: P.args, **kwargs: P.kwargs) -> int:
@@ -115,7 +116,9 @@ def while_read(main: Callable[P, int]) -> Callable[P, int]:
 
 
 def refusing(main: Callable[P, int]) -> Callable[P, int]:
-    """``main`` of a command, whose refusals (``DrapeError``) become their sentence and the status 2; ``while_read``."""
+    """Wraps the ``main`` of a command. Where it raises a refusal (``DrapeError``) the wrapped function prints its
+    sentence and returns 2. It also does what ``while_read`` does.
+    """
 
     @while_read
     @functools.wraps(main)
@@ -130,7 +133,9 @@ def refusing(main: Callable[P, int]) -> Callable[P, int]:
 
 
 def ended(main: Callable[[], object]) -> int:
-    """Runs ``main``, which returns a record and no status: 0, or 2 after the sentence of its refusal."""
+    """Runs the ``main`` of a command that returns no exit status, and returns one: 0, or 2 after the sentence of a
+    refusal.
+    """
 
     def run() -> int:
         main()

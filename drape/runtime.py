@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class RuntimeSettings(StageSettings, TierSettings, Protocol):
-    """What holds where the options of a drape are left open."""
+    """The settings that stand in for options of a drape which a caller leaves open."""
 
 
 class Runtime:

@@ -45,7 +45,7 @@ class BodyModel:
 
     @cached_property
     def face_table(self) -> np.ndarray:
-        """The faces around every vertex, as ``meshes.vertex_normals`` takes them."""
+        """Returns the faces (V, D) around every vertex, padded as ``meshes.face_table`` makes it."""
         return meshes.face_table(self.faces, self.vertex_count)
 
     @cached_property

@@ -135,7 +135,7 @@ class Extensions(Part):
 
 
 class Document(Part):
-    """The whole; what is told of the binary chunk is checked where it is read."""
+    """A whole glTF document. What it says of the binary chunk is checked where that is read."""
 
     extensions_required: Annotated[list[Text], FIRST_ONLY] = []
     extensions: Extensions = Extensions()

@@ -21,10 +21,11 @@ Pair = tuple[float, float]
 
 @checked(frozen=True, config=ConfigDict(allow_inf_nan=False))
 class Material:
-    """How one material looks; ``pictures`` are numbers of those of its ``Looks``.
+    """The look of one material.
 
-    ``base_colour`` is linear RGBA, and the picture in its place is multiplied by it. ``offset``, ``rotation`` [rad] and
-    ``scale`` place pictures as KHR_texture_transform does.
+    ``base_colour`` is linear RGBA, and a picture of it is multiplied by it. ``pictures`` holds, for each slot that has
+    one, the number of a picture in the material's ``Looks``. ``offset``, ``rotation`` [rad] and ``scale`` place
+    pictures as KHR_texture_transform does.
     """
 
     base_colour: tuple[Share, Share, Share, Share] = (1.0, 1.0, 1.0, 1.0)

@@ -70,7 +70,9 @@ class RestFigures:
 
 
 def doubled_faces(material_names: Sequence[str], face_material: np.ndarray, face_count: int) -> np.ndarray:
-    """Which of the ``face_count`` triangles that subdivision made are of a material called a hem, cuff, collar ..."""
+    """Returns which of the ``face_count`` triangles that subdivision made are of a doubled material, bool
+    (face_count,): one called a hem, cuff, collar or the like.
+    """
     named = np.array([bool(DOUBLED.search(name)) for name in material_names] or [False])
     delivered = named[face_material] if len(named) > face_material.max(initial=0) else face_material < 0
     rounds = face_count // max(len(delivered), 1)

@@ -263,7 +263,7 @@ def main_sheet(mesh: GarmentMesh) -> tuple[GarmentMesh, list[np.ndarray]]:
 
 
 def point_words(point: np.ndarray) -> str:
-    """A point as "(0.12, 1.3, 0.08)"."""
+    """Returns ``point`` (3,) as text such as "(0.12, 1.3, 0.08)"."""
     return f"({', '.join(f'{value:.3g}' for value in point)})"
 
 

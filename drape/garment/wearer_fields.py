@@ -174,8 +174,9 @@ def bones_of(posed: np.ndarray, skin: np.ndarray) -> Bones:
 
 
 def enclosed(points: np.ndarray, bones: Bones) -> tuple[np.ndarray, np.ndarray]:
-    """How much of the way round its bone lies cloth, in [0, 1], for each of ``points`` [m] (N, 3), and the number (N,)
-    of the point on the bones that it is nearest to."""
+    """Returns for each of ``points`` [m] (N, 3) the share, in [0, 1], of the turn around its bone at which there is
+    cloth, and the number (N,) of the point on the bones that is nearest.
+    """
     frames = bones.frames.astype(np.float32)
     local = (
         points.astype(np.float32) @ frames.transpose(0, 2, 1)

@@ -99,10 +99,11 @@ def skinning_feed(garment: Garment, body: BodyModel) -> dict[str, np.ndarray]:
 
 
 def atlas_feed(atlas: Atlas, *, count: int | None = None, skin: Skin | None = None) -> dict[str, np.ndarray]:
-    """Constant graph inputs of a partition, its embedding excepted: ``PatchTensors``, ``ChartTensors`` of the first
-    ``count`` vertices, all by default, and ``AgreementTensors``, with ``patch_slot`` (K, 56) of ``Consensus`` besides.
+    """Returns the constant graph inputs of a partition by name, all but its embedding.
 
-    With the ``skin`` of the body it was made for, the skin near its patches too. A graph takes some of these by name.
+    They are ``PatchTensors``, ``ChartTensors`` of the first ``count`` vertices (all by default), and
+    ``AgreementTensors``, besides ``patch_slot`` (K, 56) of ``Consensus``. With the ``skin`` of the body that the
+    garment was made for, they also hold the skin near its patches. A graph takes some of them by name.
     """
     shapedirs = np.zeros((atlas.patch_count, 3, BETA_COUNT), dtype=np.float32)
     shapedirs[..., : atlas.patch_shapedirs.shape[2]] = atlas.patch_shapedirs

@@ -57,9 +57,9 @@ def push_frames(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Pushes ``vertices`` [m] (F, V, 3), frame by frame, out of the bodies with the samples ``skin`` (F, R, 12, 8).
 
-    Returns the pushed vertices, the way [m] (F, V) of each, and ``coefficients`` (F, K, 3, 10) and ``left_m`` (F,) of
-    ``Pushed``, which hold only for ``jets``. A garment over others is pushed out of these too; ``under`` [m] (F, U, 3)
-    are their pushed vertices.
+    Returns the pushed vertices, how far [m] (F, V) each moved, and ``coefficients`` (F, K, 3, 10) and ``left_m`` (F,)
+    of ``Pushed``, which hold only for ``jets``. A garment over others is pushed out of these too; ``under`` [m] (F, U,
+    3) are their pushed vertices.
     """
     kind, (frames, count) = constants.feed.patch_fit.dtype, vertices.shape[:2]
     pushed, way = np.empty((frames, count, 3), kind), np.empty((frames, count), kind)

@@ -78,7 +78,7 @@ class WholeGraph:
             del self._garments[key], self._feeds[key]
 
     def prepare(self, plan: ScenePlan, *, skin_given: bool, shapes: bool) -> None:
-        """Nothing: the one session is open."""
+        """Does nothing: the one session is open already."""
 
     def run(self, plan: ScenePlan, bodies: Mapping[str, np.ndarray], items: Sequence[Item]) -> list[Result]:
         """Results of ``items``, in their order; ``bodies`` as ``Packer.run`` takes them."""

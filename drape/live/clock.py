@@ -21,9 +21,12 @@ _FLOAT64 = np.dtype(np.float64)
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A frame as it comes: the network's ``vertices`` [m] (V, 3), the samples of the posed ``skin`` (S, 8) as of
-    ``drape.contact.samples.sample_table`` and the scene's ``colliders`` (M, 16), all from the same origin, and the time
-    [s] by the client's clock."""
+    """One frame as it comes in.
+
+    ``vertices`` [m] (V, 3) are the network's; ``skin`` (S, 8) are the samples of the posed skin, as
+    ``drape.contact.samples.sample_table`` has them; ``colliders`` (M, 16) are the scene's. All count from the same
+    origin. ``time_s`` [s] is by the client's clock.
+    """
 
     vertices: np.ndarray
     skin: np.ndarray

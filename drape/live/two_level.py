@@ -49,8 +49,9 @@ LEAST = 700  # vertices of the coarse cloth: a sock is small, and round
 
 @dataclass(frozen=True, eq=False)
 class TwoLevelMemory:
-    """What a frame leaves: the memory of the ``coarse`` cloth, and the ``fine`` places [m] (P, 3), none of them after a
-    lift."""
+    """The memory that a frame leaves: that of the ``coarse`` cloth, and the ``fine`` places [m] (P, 3), (0, 3) after a
+    lift.
+    """
 
     coarse: FoldMemory
     fine: np.ndarray
@@ -87,7 +88,9 @@ class OneLevel:
     def fold(
         self, memory: Memory | None, frame: Frame, effort: FoldEffort, by: Compute | None = None
     ) -> tuple[np.ndarray, FoldMemory, FoldReport]:
-        """``fold_step.fold``. A memory that two levels have left counts as none."""
+        """Returns the vertices [m] (V, 3) of ``frame`` with their folds, the memory for the next frame, and a report,
+        as ``fold_step.fold`` does. A memory that two levels have left counts as none.
+        """
         return framed(self.call(memory, frame.time_s, effort), frame, effort, by)
 
     def call(self, memory: Memory | None, time_s: float, effort: FoldEffort) -> FoldCall:
@@ -121,8 +124,11 @@ class TwoLevel:
     def fold(
         self, memory: Memory | None, frame: Frame, effort: FoldEffort, by: Compute | None = None
     ) -> tuple[np.ndarray, TwoLevelMemory | LiftMemory, FoldReport]:
-        """``fold_two_level``; or ``lifted_alone``, if there are neither steps nor folds of before that fade. A memory
-        that one level has left counts as none."""
+        """Returns the vertices [m] (V, 3) of ``frame``, the memory for the next frame, and a report.
+
+        They are those of ``fold_two_level``; or of ``lifted_alone``, if there are no steps and no earlier folds that
+        fade. A memory that one level has left counts as none.
+        """
         if self.begins(memory, effort):
             return fold_two_level(self, memory, frame, effort, by)
         return framed(self.call(memory, frame.time_s, effort), frame, effort, by)

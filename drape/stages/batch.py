@@ -279,7 +279,7 @@ def stacked(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def concatenated(parts: Sequence[np.ndarray | None], axis: int = 1) -> np.ndarray:
-    """``parts`` one after the other; one alone is itself."""
+    """Joins ``parts`` along ``axis``, without those that are None. If one is left, it is returned as it is."""
     arrays = [part for part in parts if part is not None]
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=axis)
 

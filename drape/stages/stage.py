@@ -32,7 +32,7 @@ def call_here(function: Callable[..., Any], *arguments: Any, **named: Any) -> An
 
 
 class StageSettings(Protocol):
-    """What holds where options are left open: ``inertia``."""
+    """The setting that stages read where an option is left open: ``inertia``."""
 
     @property
     def inertia(self) -> Literal["network", "mesh"]: ...

@@ -65,7 +65,7 @@ class Charts(WithTables):
 
 
 def tables() -> dict[str, Tensor]:
-    """Buffers of ``Charts``."""
+    """Returns the constant matrices that ``Charts`` multiplies with, by the names of its buffers."""
     return {
         **_jet_tables(),
         "chart_sums": torch.kron(torch.eye(3), torch.ones(1, CHARTS_PER_VERTEX)),

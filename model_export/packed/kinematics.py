@@ -124,7 +124,7 @@ class Kinematics(WithTables):
 
 
 def tables() -> dict[str, Tensor]:
-    """Buffers of ``Kinematics``."""
+    """Returns the constant tensors that ``Kinematics`` computes with, by the names of its buffers."""
     rotation = torch.zeros(16, 10)
     for column, entries in enumerate(_ROTATION):
         for row, factor in entries:

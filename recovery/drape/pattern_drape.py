@@ -70,7 +70,8 @@ class SewingOptions:
 
 
 def hanging(name: str, longer: float = HANGS_LONGER) -> OrthotropicMaterial:
-    """The fabric called ``name`` as it is draped: no stiffer than that a metre of it hangs longer by this share.
+    """Returns the material of the fabric called ``name``, softened for draping: a metre of it that hangs by its own
+    weight stretches by at least the share ``longer``.
 
     Triangles that lie across the yarns cannot bend without stretching them, so that on long edges a stiff, light cloth
     folds nowhere and hardly comes to rest (``Fabric.softened``).

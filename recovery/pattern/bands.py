@@ -18,10 +18,11 @@ Edge = tuple[Drafted, str]
 
 
 class BandShape(NamedTuple):
-    """A strip of ``width_m`` [m], shorter than what it is sewn to by the share ``shorter``.
+    """The measures of a band: a strip called ``name``, ``width_m`` [m] wide, and shorter by the share ``shorter`` than
+    the edges that it is sewn to.
 
-    It stands ``above``, as a waistband does, or hangs below, as a cuff. ``free`` and ``name`` name its free edge and
-    the panel; ``seam`` its seam, by default after the name.
+    It stands ``above`` these edges, as a waistband does, or hangs below them, as a cuff. ``free`` is the name of its
+    free edge, and ``seam`` that of its seam, by default the band's own.
     """
 
     name: str

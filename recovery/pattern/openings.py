@@ -203,7 +203,9 @@ def openings_by_name(pattern: Pattern) -> dict[str, list[PatternOpening]]:
 
 
 def openings_called(pattern: Pattern, name: str, part: str) -> list[PatternOpening]:
-    """The openings called ``name``, at which the ``part`` is to be."""
+    """Returns the openings of ``pattern`` called ``name``. Raises ``InputError`` where it has none, for the option
+    ``part``, which needs one.
+    """
     by_name = openings_by_name(pattern)
     if not by_name.get(name):
         raise InputError(

@@ -197,7 +197,9 @@ def part_panel(
 
 
 class Chain(NamedTuple):
-    """Edges ``refs`` of one panel in the order of its outline, the strip beside which is to be the panel ``called``."""
+    """Edges ``refs`` of one panel, in the order of its outline, along which a strip is cut off. The strip becomes the
+    panel ``called``.
+    """
 
     refs: tuple[EdgeRef, ...]
     called: str

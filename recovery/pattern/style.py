@@ -37,9 +37,11 @@ PARTS = (*BANDS, *RIBS, *YOKES, COLLAR)
 
 @dataclass(frozen=True)
 class Style:
-    """What is cut off and added: widths [m] by the names of ``PARTS``, and whether halves of sleeves are joined.
+    """The changes that a style makes to a pattern: parts that are cut off or added, with their ``widths_m`` [m] by the
+    names of ``PARTS``.
 
-    With ``whole_bands`` the pieces of a band are, as far as their ends lie on each other.
+    With ``whole_sleeves`` the halves of a sleeve are joined, and with ``whole_bands`` the pieces of a band, as far as
+    their ends lie on each other.
     """
 
     widths_m: Mapping[str, float]

@@ -185,7 +185,9 @@ def without_collar(mesh: GarmentMesh, joints: np.ndarray) -> tuple[GarmentMesh, 
 
 
 def below(mesh: GarmentMesh, height: np.ndarray) -> GarmentMesh:
-    """``mesh``, without texture, where ``height`` (V,), taken as linear in every triangle, is not positive."""
+    """Returns the part of ``mesh`` where ``height`` (V,), taken as linear in every triangle, is not positive. It has no
+    texture coordinates.
+    """
     up = height > 0.0
     above = up[mesh.faces].sum(axis=1)
     vertices, faces, parent = [mesh.vertices], [mesh.faces[above == 0]], [np.flatnonzero(above == 0)]

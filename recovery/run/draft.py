@@ -80,7 +80,7 @@ def draft_near(
 
 
 def own_settings(name: str, body: BodyMeasurements, told: dict[str, float]) -> dict[str, float]:
-    """The base's own values of the settings in ``told``."""
+    """Returns the values that the base ``name`` has by itself for the settings in ``told``."""
     cut = BASES[name].cut
     ankles = body.crotch_y - body.ankle_y  # an inseam of None
     settings = {}

@@ -218,7 +218,9 @@ def facing(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def turn_about(mesh: GarmentMesh, turn_rad: float) -> GarmentMesh:
-    """``mesh`` turned about y by ``turn_rad``, with a note."""
+    """Returns ``mesh`` turned by ``turn_rad`` about a vertical line (along y) through the mean of its vertices. A note
+    on the mesh says so.
+    """
     middle = mesh.vertices.mean(axis=0)
     c, s = np.cos(turn_rad), np.sin(turn_rad)
     vertices = (mesh.vertices - middle) @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]).T + middle

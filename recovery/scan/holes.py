@@ -90,9 +90,10 @@ def close_holes(
 
 
 def unroll_border(mesh: GarmentMesh, loop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The border ``loop`` (n,) laid into the plane by its turning inside the cloth, twice round: (2 n + 1, 2), lengths.
+    """Returns the border ``loop`` (n,) unrolled into the plane, twice round: points (2 n + 1, 2), and the lengths (2 n
+    + 1,) along the line to each.
 
-    The cloth is on the left. Lengths (2 n + 1,) run along the line, which is smoothed a little.
+    The line turns as the border turns inside the cloth, which lies on its left. It is smoothed a little.
     """
     points = mesh.vertices[loop]
     length = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)

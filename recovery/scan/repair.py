@@ -142,7 +142,9 @@ def one_sheet(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def orient_faces(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` with neighbours that agree in orientation, cut where a strip is twisted; refuses what is no cloth."""
+    """Returns ``mesh`` with neighbours that agree in orientation, cut where a strip is twisted. Refuses a mesh that
+    cannot be cloth.
+    """
     turned, cuts = agreeing(mesh)
     if len(cuts) > TWISTED_SHARE * len(mesh.faces):
         raise ScanFault(
@@ -240,7 +242,9 @@ class ScanFault(MeshError):
 
 
 def in_box(point: np.ndarray, vertices: np.ndarray) -> str:
-    """Where ``point`` is in the garment's own box, for a file whose body is not known; its front is at +z, up at +y."""
+    """Returns a phrase on where ``point`` (3,) lies in the box around ``vertices`` (V, 3), for a file whose body is not
+    known. The garment's front is at +z, up at +y.
+    """
     low, size = vertices.min(axis=0), np.maximum(np.ptp(vertices, axis=0), 1e-300)
     across, up, out = (point - low) / size
     side = "left" if across > 0.6 else "right" if across < 0.4 else "middle"
@@ -251,9 +255,8 @@ def in_box(point: np.ndarray, vertices: np.ndarray) -> str:
 
 
 def on_body(point: np.ndarray, mesh: GarmentMesh, joints: np.ndarray) -> str:
-    """Where ``point`` [m] (3,) is on a garment worn by a body with ``joints`` [m] (24, 3).
-
-    For example "near the left shoulder, 12 cm from the hem at (0.2, 1.1, 0.05) m".
+    """Returns a phrase on where ``point`` [m] (3,) lies on a garment worn by a body with ``joints`` [m] (24, 3), such
+    as "near the left shoulder, 12 cm from the hem at (0.2, 1.1, 0.05) m".
     """
     joint = JOINT_NAMES[int(np.linalg.norm(joints - point, axis=1).argmin())]
     side, _, part = joint.rpartition("_")

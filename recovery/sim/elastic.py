@@ -47,14 +47,18 @@ def hessian(
 
 
 def work(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor, direction: Tensor) -> Tensor:
-    """Derivative of ``energy`` along ``direction`` (V, 3); differentiable once more."""
+    """The derivative () of ``energy`` along ``direction`` (V, 3), in [J] for a direction in [m]; differentiable once
+    more.
+    """
     directions = model.triangles(direction), model.hinges(direction)
     gradients = _gradients(model, rest, parameters, x)
     return torch.stack([(slope * way).sum() for slope, way in zip(gradients, directions, strict=True)]).sum()
 
 
 def bilinear(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor, left: Tensor, right: Tensor) -> Tensor:
-    """``left``^T H ``right`` for the definite ``hessian`` H, without the matrix; differentiable once more."""
+    """The number ``left``^T H ``right`` () for the definite ``hessian`` H and node vectors (V, 3), without the matrix;
+    differentiable once more.
+    """
     stretched = membrane.bilinear(
         model.triangles(x), rest.triangles, parameters.membrane, model.triangles(left), model.triangles(right)
     )

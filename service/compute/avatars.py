@@ -120,7 +120,7 @@ class Avatars:
 
     @property
     def worn(self) -> tuple[BodyStages, ...]:
-        """The bodies of those that wear garments."""
+        """Returns the bodies, with their stages, of the avatars that wear garments."""
         return tuple(stages for one in list(self._worn.values()) for stages in list(one.stages.values()))
 
     def visible(self, viewer: str | None) -> list[AvatarEntry]:

@@ -63,7 +63,7 @@ class ComputeThreads:
 
     @property
     def streaming(self) -> bool:
-        """Whether there are streams that move."""
+        """Whether the computing of a stream's frame has begun within the last ``STREAM_PAUSE_S``."""
         return time.monotonic() - self.streamed_s <= STREAM_PAUSE_S
 
     async def for_streams(self, function: Callable[..., Result], *arguments: object) -> Result:

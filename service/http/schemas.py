@@ -158,7 +158,7 @@ class Problem(BaseModel):
 
 
 class CardHealth(BaseModel):
-    """Says how a graphics card does that draws folds, or why it does not."""
+    """The state of a graphics card that computes folds, or why it does not."""
 
     name: str
     fault: str = Field(description="Why frames are the processor's, in a sentence. Empty while the card draws.")

@@ -102,7 +102,7 @@ def _refusal(error: DrapeError) -> Answer:
 
 
 class Probes(ThreadingHTTPServer):
-    """The same answers from a thread of its own on a listening socket; ``with`` starts and ends it."""
+    """Answers probes (``probe_answer``) from a thread of its own on a listening socket; ``with`` starts and ends it."""
 
     daemon_threads = True
 

@@ -87,7 +87,10 @@ def waits_for(clock: Callable[[], float]) -> None:
 
 
 class Lane(ThreadPoolExecutor):
-    """Threads whose calls are jobs of the lane ``name``. In a ``brief`` lane each call counts as one move."""
+    """A pool of threads, each of whose calls is a job of the lane ``name`` that the watchdog looks at.
+
+    In a ``brief`` lane a call is expected to end soon: taking processor time does not count as moving.
+    """
 
     def __init__(self, name: str, threads: int | None = None, *, brief: bool = False, **more: Any) -> None:
         super().__init__(threads, thread_name_prefix=f"drape-{name}", **more)

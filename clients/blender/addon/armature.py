@@ -27,7 +27,7 @@ HEAVIEST = 4  # bones of a vertex
 class Character:
     """The character of ``armature``, an object of the scene, with its ``bones``; ``body``: its id where it is ours.
 
-    ``units``: of the scene, per unit of the armature. Refuses what is no armature, and one that is stretched.
+    ``units``: of the scene, per unit of the armature. Refuses an object that is not an armature, and a stretched one.
     """
 
     def __init__(self, armature: Any) -> None:
