@@ -62,7 +62,7 @@ class ModelDrape:
         return cls(model_folder(options.model), body, threads=options.threads, passes=passes)
 
     def made_of(self, fabric: Fabric | None) -> ModelDrape:
-        """The same network with garments of ``fabric``, where it knows fabrics; None: of its default."""
+        """Returns the same network for garments of ``fabric``, if it knows fabrics; None means its default fabric."""
         other = copy.copy(self)
         other._fabric = fabric if self.engine.knows_fabrics else None
         return other

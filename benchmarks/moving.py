@@ -111,7 +111,9 @@ def streamed(drapery: DrapeRuntime, garments: list[Garment], clip: CaseClip, tie
 def moving_row(
     looks: Looks, vertices: np.ndarray, skin: Skin, stills: dict[int, Row], exact: Mapping[int, Row | None]
 ) -> Row:
-    """The measures of a garment at ``vertices`` [m] (F, V, 3), beside ``stills`` and ``exact`` drapes by frame."""
+    """Returns the row of a garment that moves through ``vertices`` [m] (F, V, 3): its looks relative to ``stills`` and
+    ``exact`` drapes (rows by frame), crossings, depth in the ``skin``, strain and jitter.
+    """
     shares, angles = [], []
     for frame, still in stills.items():
         near = [still_figures(looks, vertices[max(0, frame - before)]) for before in BEFORE]

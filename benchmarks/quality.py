@@ -86,7 +86,7 @@ class Bench:
     uncorrected: ModelDrape | None = None
 
     def of_fabric(self, fabric: Fabric) -> Bench:
-        """The same bench with all garments of ``fabric``."""
+        """Returns the same bench with all garments of ``fabric``."""
         uncorrected = None if self.uncorrected is None else self.uncorrected.made_of(fabric)
         made = self.network.made_of(fabric)
         return replace(self, fabric=fabric, material=Material.of(fabric), network=made, uncorrected=uncorrected)

@@ -142,9 +142,11 @@ def recover_job(job: RecoveryJob, told: Callable[[Cut | None, int], str], pictur
 
 
 def told_words(truth: str, cut: Cut | None, *, panels: bool = False) -> str:
-    """Whether the base is ``truth``, and the ``panels`` are right too or a sentence says that they may not be.
+    """Returns the cell of a table that says whether ``cut`` is right: "yes"; "base" if only the base is, with a hint
+    where its seams cannot be seen; or "no" and the ``truth``.
 
-    A ``cut`` of None is a refusal, which ``REFUSED`` as the truth asks for.
+    ``panels`` says whether the number of panels is right. ``cut`` is None for a target that was refused, which is right
+    where ``truth`` is ``REFUSED``.
     """
     if (REFUSED if cut is None else cut.base) != truth:
         return f"no, {truth}"

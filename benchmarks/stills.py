@@ -63,7 +63,7 @@ def input_of(clip: CaseClip, frame: int) -> PoseInput:
 
 
 def still_figures(looks: Looks, vertices: np.ndarray) -> Row:
-    """The measures of cloth at ``vertices`` [m] (V, 3)."""
+    """Returns curvature, dihedral angle, area, hem and relief of cloth at ``vertices`` [m] (V, 3), by name."""
     one = vertices[None]
     relief = dict(zip((f"{band}_mm" for band in BANDS), looks.relief_mm(one)[0].tolist(), strict=True))
     told = {
@@ -119,7 +119,7 @@ class Stills:
 
 
 def worn_digest(garments: list[Garment], one: Garment) -> str:
-    """What tells ``one`` as it is worn with ``garments`` from others of its name."""
+    """Returns a digest that tells ``one``, as it is worn with ``garments``, from other garments of its name."""
     return "+".join(garment.digest[:8] for garment in ([one, *garments] if len(garments) > 1 else garments))
 
 

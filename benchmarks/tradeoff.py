@@ -98,12 +98,16 @@ class Case:
 
     @classmethod
     def of(cls, scene: CaseScene, networks: dict[str, ModelDrape], *, keeps_apart: bool = True) -> Case:
-        """``scene`` with its physics, which starts from the last of ``networks``, of cloth that ``keeps_apart``."""
+        """Returns ``scene`` with its physics, whose search starts from the last of ``networks``; ``keeps_apart``: of
+        cloth that does not pass through itself.
+        """
         starts = scene.starts(networks)
         return cls(scene, starts["skinning"], physics_bound.bound(scene, starts, keeps_apart=keeps_apart))
 
     def row(self, vertices: np.ndarray, start: np.ndarray) -> Row:
-        """The measures of the clip's ``vertices`` [m] (F, V, 3); jitter is against ``start``."""
+        """Returns the row of the clip's ``vertices`` [m] (F, V, 3), with jitter relative to ``start`` (F, V, 3)
+        (``physics_bound``).
+        """
         judge, measured = self.least.judge, self.scene.clip.measured[self.least.few]
         found, seen = physics_bound.figures(judge, vertices, start, measured), vertices[measured].astype(np.float64)
         looks = stills_of(self.scene.garment)

@@ -99,7 +99,7 @@ def carry_garment(
 
 
 def judge_case(case: WornCase, body: BodyModel) -> dict[str, object]:
-    """What is found of ``case``, beside the truth."""
+    """Returns the row of ``case``: the wearer that is found, beside the truth."""
     begun_s = time.process_time()
     row: dict[str, object] = {"pose": case.pose, "unit": case.reading.unit, "up": case.reading.up}
     try:

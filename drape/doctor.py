@@ -86,7 +86,7 @@ def is_free(port: int) -> bool:
 
 
 def can_write(folder: Path) -> bool:
-    """Whether files can be made in ``folder``, or it in the nearest folder that there is."""
+    """Whether files can be made in ``folder``; if it does not exist, whether it can be made."""
     there = next(path for path in (folder, *folder.parents) if path.exists())
     return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
 

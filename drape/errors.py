@@ -145,7 +145,9 @@ def ended(main: Callable[[], object]) -> int:
 
 
 def did_you_mean(name: str, known: Iterable[str], cure: str) -> str:
-    """``cure``, after the name of ``known`` that ``name`` was likely meant to be, if one is near."""
+    """Returns ``cure``, preceded by the name in ``known`` that ``name`` was probably meant to be, if there is a similar
+    one.
+    """
     by_lower = {one.lower(): one for one in known}
     near = difflib.get_close_matches(name[:120].lower(), by_lower, n=1, cutoff=0.7)
     return f"Did you mean {by_lower[near[0]]}? {cure}" if near else cure

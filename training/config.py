@@ -65,7 +65,7 @@ class ModelConfig:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Those of ``drape.graph.inputs.PARTS`` that the network has."""
+        """The names in ``drape.graph.inputs.PARTS`` of the parts that the network has."""
         there = {
             PAPER: not self.vector,
             SURROUNDINGS: self.vector,

@@ -159,7 +159,7 @@ class Judged:
         return whole | {f"{part}_j": float(value.mean()) for part, value in parts.items()}
 
     def figures(self, vertices: np.ndarray, names: Sequence[str]) -> dict[str, float]:
-        """Those of ``MEASURES`` called ``names``, means over the frames of ``vertices`` [m] (n, V, 3)."""
+        """Returns those figures of ``MEASURES`` that ``names`` lists, as means over ``vertices`` [m] (n, V, 3)."""
         return {name: float(np.mean(MEASURES[name](self, vertices))) for name in names}
 
     def task(self, starts: tuple[np.ndarray, ...]) -> physics.OptimumTask:

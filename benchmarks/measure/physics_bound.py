@@ -18,7 +18,9 @@ OPTIMA = 6  # frames of a clip, at most, whose optimum is looked for
 
 
 def figures(judge: Judged, vertices: np.ndarray, start: np.ndarray, measured: np.ndarray) -> Row:
-    """The measures of ``vertices`` [m] (F, V, 3) in the frames ``measured``; jitter, against ``start``, is of all."""
+    """Returns a row of the energies, strain, detail, crossing and visible skin of ``vertices`` [m] (F, V, 3), as means
+    over the frames ``measured``, and their jitter relative to ``start`` (F, V, 3) over all frames.
+    """
     seen = vertices[measured].astype(np.float64)
     slow = judge.few.figures(seen[judge.spread], ("colliding_triangle_pct", "skin_pixels_pct"))
     return {

@@ -35,11 +35,12 @@ PART_JOINTS = np.array([max(1, len(part) // SIXD) for part in PART_ENTRIES], dty
 
 @dataclass(frozen=True, eq=False)
 class PoseSupport:
-    """Kept poses, ``legs`` (n, 48), ``trunk`` (n, 78) and ``tilt`` (m, 3), int8 steps of 1/127, and how far from
-    the nearest of each (3,) a pose of the calibration may be.
+    """The poses that are kept of training, and how far from them a pose may be.
 
-    Columns are the 6D rotations (Zhou et al. 2019) of the part's joints, and of the tilt the world's up axis in the
-    pelvis' frame.
+    ``legs`` (n, 48), ``trunk`` (n, 78) and ``tilt`` (m, 3) are the kept poses, int8 steps of 1/127. Columns are the 6D
+    rotations (Zhou et al. 2019) of the part's joints, and of the tilt the world's up axis in the pelvis' frame.
+    ``limits`` (3,) are the largest distances of the three parts from the nearest kept pose that still count as like
+    training.
     """
 
     legs: np.ndarray

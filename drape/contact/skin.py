@@ -73,10 +73,11 @@ class Skin(Samples):
 
 @dataclass(frozen=True, eq=False)
 class SkinOnBones(Tensors):
-    """Samples as products with bone transforms, in P parts of 4 regions, for one shape of a linearly skinned body.
+    """Samples of the skin as products with bone transforms, in P parts of 4 regions, for one shape of a linearly
+    skinned body.
 
-    ``rows`` (P, n, 4, 144): 48 points, 48 first and 48 second tangents of a part as sums over its n ``bones`` (P, n),
-    x y z 1 each.
+    ``rows`` (P, n, 4, 144) give 48 points, 48 first and 48 second tangents of a part as sums over its n ``bones`` (P,
+    n), of each of which they take x, y, z and 1.
     """
 
     rows: Array = tensor("skin_rows", "parts", "part_bones", 4, 3 * POSED_REGIONS * REGION_SIZE, unit="m or 1")

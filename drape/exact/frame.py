@@ -102,7 +102,8 @@ class FrameFigures:
 
 @dataclass(frozen=True, eq=False)
 class RestingFrame:
-    """A frame that is done: its ``pose`` (24, 3) [rad], its cloth ``x`` [m] (V, 3), and the ``start`` (V, 3) of that.
+    """A finished frame: its ``pose`` (24, 3) [rad], its cloth ``x`` [m] (V, 3), and the drape ``start`` (V, 3) that it
+    was computed from.
 
     Cloth and start are relative to the root.
     """

@@ -80,7 +80,11 @@ def media_type(picture: bytes) -> str:
 
 
 def looks_of(told: dict[str, Any], content: np.ndarray) -> Looks:
-    """What ``to_json`` told, with the bytes of all pictures in ``content``; raises ``ValueError`` or ``TypeError``."""
+    """Returns the looks that ``to_json`` described as ``told``; ``content`` holds the bytes of all pictures, one after
+    the other.
+
+    Raises ``ValueError`` or ``TypeError`` where the two do not fit.
+    """
     sizes = [int(one) for one in told["picture_bytes"]]
     materials, data = tuple(_MATERIALS.validate_python(told["materials"])), content.astype(np.uint8).tobytes()
     used = [number for one in materials if one for number in one.pictures.values()]

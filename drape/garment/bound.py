@@ -72,8 +72,10 @@ class Drawer:
         self._faces = np.ascontiguousarray(faces[np.isin(faces, self._asked).any(axis=1)], dtype=np.int32)
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """What ``drape_draw_bound`` takes beside the cloth and the counts, in its order: faces (F, 3) around the
-        vertices (N,) of the cloth whose normals are asked for, then corner, weight, offset, kind; numbers as float32.
+        """The arrays that ``drape_draw_bound`` takes beside the cloth and the counts, in its order.
+
+        They are the faces (F, 3) around the vertices (N,) of the cloth whose normals are asked for, then corner,
+        weight, offset, kind; numbers as float32.
         """
         bound = self._bound
         numbers = bound.weight.astype(np.float32), bound.offset.astype(np.float32)

@@ -260,7 +260,9 @@ def part_digest(digest: str, number: int) -> str:
 
 
 def stored_outfit(folder: Path, digest: str, *, whole: bool) -> list[Garment]:
-    """What ``intake_outfit`` stored in ``folder`` under ``digest``; nothing where some of it is missing."""
+    """Returns the garments that ``intake_outfit`` stored in ``folder`` under ``digest``; none if one of them is
+    missing.
+    """
 
     def found(own: str) -> Garment | None:
         path = next(folder.glob(f"*-{own[:16]}.npz"), None)

@@ -94,7 +94,9 @@ def garment_feed(garment: Garment, *, fine: bool = False, body: BodyModel | None
 
 
 def skinning_feed(garment: Garment, body: BodyModel) -> dict[str, np.ndarray]:
-    """What the paper's variant reads besides ``garment_feed``: ``skin_weights`` (V, 24) of delivered vertices."""
+    """Returns the input that the paper's variant reads besides ``garment_feed``: ``skin_weights`` (V, 24) of delivered
+    vertices.
+    """
     return {"skin_weights": garment.skin_weights(body)[: garment.vertex_count]}
 
 

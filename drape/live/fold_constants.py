@@ -132,7 +132,7 @@ def fold_constants(garment: Garment, body: BodyModel, fabric: Fabric | None = No
 
 
 def worn_cloth(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> WornCloth:
-    """The delivered mesh of ``garment`` on ``body``, made of ``fabric`` or else its own."""
+    """Returns the delivered mesh of ``garment`` as cloth on ``body``, made of ``fabric`` or else of its own."""
     count = garment.vertex_count
     vertices, faces = garment.vertices[:count].astype(np.float64), garment.faces.astype(np.int64)
     cloth = ClothMesh.of(garment.delivered_rest(), faces, count)

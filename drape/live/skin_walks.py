@@ -28,7 +28,7 @@ class SkinGraph(NamedTuple):
     rest: np.ndarray
 
     def of_type(self, dtype: type[np.floating]) -> SkinGraph:
-        """The same with floats of ``dtype``."""
+        """Returns the same graph with floats of ``dtype``."""
         return self._replace(reach_m2=self.reach_m2.astype(dtype), rest=self.rest.astype(dtype))
 
 

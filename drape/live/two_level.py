@@ -57,7 +57,7 @@ class TwoLevelMemory:
     fine: np.ndarray
 
     def at(self, time_s: float) -> TwoLevelMemory:
-        """The same at another time [s]."""
+        """Returns the same memory at another time [s]."""
         return replace(self, coarse=self.coarse.at(time_s))
 
 

@@ -72,7 +72,9 @@ def coordinate_bits(options: DrapeOptions) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Idle:
-    """The time [s] since when a body has kept one pose, the number of frames since then, and the last message."""
+    """The rest of a body: the time [s] since which it has kept one pose, the number of frames since then, and the last
+    message.
+    """
 
     pose: np.ndarray
     trans: np.ndarray

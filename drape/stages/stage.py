@@ -40,7 +40,7 @@ class StageSettings(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class StageSetup:
-    """What all stages share; ``make`` calls a function that takes long, and a card's ``lane`` draws folds."""
+    """The objects that all stages share. ``make`` calls a function that takes long; a card's ``lane`` draws folds."""
 
     engine: Engine
     body: BodyModel

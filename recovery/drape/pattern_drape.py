@@ -28,7 +28,7 @@ HANGS_LONGER = 0.01  # cloth a metre long by its own weight, as a share
 
 
 class Hold(StrEnum):
-    """What holds a garment up: a belt at its topmost opening, the body alone, or whichever its cut asks for."""
+    """The means that hold a garment up: a belt at its topmost opening, the body alone, or what its cut asks for."""
 
     AUTO = "auto"
     BELT = "belt"
@@ -107,7 +107,7 @@ class Draped:
 
     @property
     def at_rest(self) -> bool:
-        """Whether both drapes, or the one there is, came to rest."""
+        """Whether all of its drapes came to rest: that in the T-pose, and that in a pose if there is one."""
         return self.rest.report.converged and (self.posed is None or self.posed.report.converged)
 
 

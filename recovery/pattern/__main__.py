@@ -75,7 +75,7 @@ def print_pattern(pattern: Pattern) -> None:
 
 
 def print_notes(pattern: Pattern) -> None:
-    """What reading did to the pattern, a line each."""
+    """Prints what reading changed in ``pattern``, a line for each change."""
     for note in pattern.notes:
         print(f"note: {note}")
 

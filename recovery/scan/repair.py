@@ -236,7 +236,7 @@ class ScanFault(MeshError):
     points: np.ndarray = np.zeros((0, 3))
 
     def at(self, mesh: GarmentMesh, points: np.ndarray) -> ScanFault:
-        """The same fault with its place."""
+        """Returns the same fault with its place: ``points`` (P, 3) on ``mesh``."""
         self.mesh, self.points = mesh, np.asarray(points, dtype=np.float64).reshape(-1, 3)
         return self
 

@@ -66,7 +66,7 @@ class Registry:
         return list(self._entries.values())
 
     def visible(self, viewer: str | None) -> list[Entry]:
-        """Those that the key ``viewer`` may know of."""
+        """Returns the garments that the key ``viewer`` may know of."""
         return [entry for entry in self.entries() if entry.seen_by(viewer)]
 
     def get(self, name: str, viewer: str | None = None) -> Entry:

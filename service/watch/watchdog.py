@@ -44,8 +44,9 @@ def spent_s(number: int, *, thread: bool = False) -> float:
 
 @dataclass(eq=False)
 class WatchedJob:
-    """What runs in a ``lane``. ``clocks`` return the processor time [s] that it takes; ``thread`` is the one whose
-    stack is told."""
+    """A running job of a ``lane``. ``clocks`` return the processor time [s] that it takes; ``thread`` is the one whose
+    stack is told.
+    """
 
     lane: str
     clocks: list[Callable[[], float]]
@@ -57,7 +58,7 @@ class WatchedJob:
         self._spent_s, self._begun_s = sum(clock() for clock in self.clocks), self.moved_s
 
     def look(self, now_s: float) -> float:
-        """For how long [s] it has not moved."""
+        """Returns for how long [s] the job has not moved."""
         spent = sum(clock() for clock in self.clocks)
         endless = self.thread and now_s - self._begun_s > MOST_S
         if self.silent and not endless and abs(spent - self._spent_s) > SHARE * (now_s - self.moved_s):
@@ -65,7 +66,7 @@ class WatchedJob:
         return now_s - self.moved_s
 
     def stack(self) -> list[traceback.FrameSummary]:
-        """Where its thread is; empty for that of a process."""
+        """Returns the stack of the job's thread; an empty one for a process."""
         frame = sys._current_frames().get(self.thread)
         return [] if frame is None else traceback.extract_stack(frame)
 

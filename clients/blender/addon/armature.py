@@ -55,8 +55,9 @@ class Character:
         self._undo = [(self._upright @ held[name].matrix_local.to_3x3()).inverted() for name in bones]
 
     def stands(self, depsgraph: Any, pelvis: str) -> tuple[list[Any], Any]:
-        """What each bone has turned by since its rest, a quaternion seen from its parent, and where the head of the
-        bone ``pelvis`` is, in units of the scene; both y up."""
+        """Returns how each bone has turned since its rest, as a quaternion relative to its parent, and where the head
+        of the bone ``pelvis`` is, in units of the scene. Both are y up.
+        """
         armature = self.armature.evaluated_get(depsgraph)
         world, posed = armature.matrix_world, armature.pose.bones
         moved = zip((posed[name].matrix.to_3x3() for name in self.bones), self._undo, strict=True)
