@@ -69,6 +69,22 @@ def test_examples_in_documents_import_what_exists(document: Path):
     assert {(module, name) for module, name in ours if name not in names_in(module)} == set()
 
 
+def files_of_tables(document: Path) -> set[str]:
+    """The Python files that rows name below a head that says "file of `FOLDER`", by their paths."""
+    folder, found = "", set[str]()
+    for line in document.read_text(encoding="utf-8").splitlines():
+        head = re.search(r"\| file of `([\w/]+)`", line)
+        folder = head[1] if head else folder if line.startswith("|") else ""
+        for name in re.findall(r"`([\w/]+\.py)`", line) if folder else ():
+            found.add(name if name.startswith(tuple(PACKAGES)) else f"{folder}/{name}")
+    return found
+
+
+@pytest.mark.parametrize("document", sorted({*CURRENT} - {LOG}), ids=lambda path: str(path.relative_to(ROOT)))
+def test_files_in_tables_of_documents_exist(document: Path):
+    assert {name for name in files_of_tables(document) if not (ROOT / name).is_file()} == set()
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_relative_links_resolve(document: Path):
     targets = [target.partition("#")[0] for target in LINK.findall(document.read_text(encoding="utf-8"))]
