@@ -105,7 +105,7 @@ def skinned(garment: Garment, body: BodyModel, poses: np.ndarray) -> np.ndarray:
 
 
 def pushed(vertices: np.ndarray, body: BodyModel, poses: np.ndarray) -> np.ndarray:
-    """``vertices`` [m] (F, V, 3), those in the skin moved out along the normal of the nearest body vertex."""
+    """Returns ``vertices`` [m] (F, V, 3), those in the skin moved out along the normal of the nearest body vertex."""
     posed = body.posed_vertices(poses)
     return nearest_vertex_push(vertices, posed, np.asarray(BodyContact(body.faces, body.vertex_count).normals(posed)))
 

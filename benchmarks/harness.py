@@ -225,7 +225,7 @@ def write(target: Path, record: Record) -> None:
 
 
 def finite(value: Any) -> Any:
-    """``value`` with None in place of NaN and infinity, which JSON cannot hold, and floats of six digits."""
+    """Returns ``value`` with None in place of NaN and infinity, which JSON cannot hold, and floats of six digits."""
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

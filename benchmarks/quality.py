@@ -128,7 +128,7 @@ def in_fabrics(bench: Bench, options: argparse.Namespace) -> list[Bench]:
 
 
 def covered(garment: Garment, body: BodyModel, share: float) -> Garment:
-    """``garment`` covered anew, as intake does it, by ``share`` of the usual number of patches."""
+    """Returns ``garment`` covered anew, as intake does it, by ``share`` of the usual number of patches."""
     rest = rest_garment(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), body)
     return replace(garment, **patch_fields(rest, share=share, unfold=True))
 

@@ -103,7 +103,9 @@ COLUMNS = {
 
 
 def swung(scene: CaseScene, static: np.ndarray, *, folds: int) -> tuple[np.ndarray, float]:
-    """``static`` [m] (F, V, 3) with swing, and ``folds`` steps on that; the median processor time [ms] of the swing."""
+    """Returns ``static`` [m] (F, V, 3) with swing and with ``folds`` steps of folds on that, and the median processor
+    time [ms] of the swing.
+    """
     clip, memory, folded, clock, found = scene.clip, None, None, Clock(), []
     swinging = swing_constants(scene.garment, scene.body, scene.fabric)
     for i, vertices in enumerate(static):

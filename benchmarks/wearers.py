@@ -59,7 +59,7 @@ class WornCase:
     sleeved: bool
 
     def in_metres(self, points: np.ndarray) -> np.ndarray:
-        """``points`` (N, 3) of the file in the frame of ``skin``."""
+        """Returns ``points`` (N, 3) of the file in the frame of ``skin``."""
         return self.reading.apply(points) - self.shift
 
 
@@ -77,7 +77,9 @@ def draw_bodies(body: BodyModel) -> np.ndarray:
 def carry_garment(
     garment: Garment, body: BodyModel, betas: np.ndarray, pose: str, draw: np.random.Generator
 ) -> WornCase:
-    """``garment`` on the body of shape ``betas`` in ``pose``, in a file of a unit, axis and origin that are drawn."""
+    """Returns ``garment`` on the body of shape ``betas`` in ``pose``, in a file of a unit, axis and origin that are
+    drawn.
+    """
     parameters = known_parameters(body, "standard", *POSES[pose])
     parameters[: body.shape_count] = betas
     angles = unpack(body, parameters)[1]

@@ -56,8 +56,9 @@ def _rebuild(kind: type[DrapeError], name: str, expected: str, got: str, cure: s
 
 
 def legible(text: str) -> str:
-    """``text`` of strangers for a line of a log, JSON or a header: what cannot be printed, as half a pair of UTF-16 or
-    a line's end, is escaped."""
+    """Returns a stranger's ``text`` for a line of a log, JSON or a header: what cannot be printed, as half a pair of
+    UTF-16 or a line's end, is escaped.
+    """
     return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 

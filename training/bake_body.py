@@ -188,7 +188,7 @@ def fit_regressor(vertices: np.ndarray, joints: np.ndarray) -> scipy.sparse.csr_
 
 
 def sparsify(weights: np.ndarray, per_vertex: int) -> np.ndarray:
-    """``weights`` (V, J) with all but the largest ``per_vertex`` entries dropped, rows renormalised."""
+    """Returns ``weights`` (V, J) with all but the largest ``per_vertex`` entries dropped, rows renormalised."""
     threshold = np.sort(weights, axis=1)[:, -per_vertex][:, None]
     kept = np.where((weights >= threshold) & (weights > 1e-4), weights, 0.0)
     return kept / kept.sum(axis=1, keepdims=True)

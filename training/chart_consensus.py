@@ -237,5 +237,5 @@ class _Product(torch.autograd.Function):
 
 
 def product(pair: SparsePair, dense: Tensor) -> Tensor:
-    """``matrix @ dense`` (V, n), differentiable in ``dense`` (m, n)."""
+    """Returns ``matrix @ dense`` (V, n), differentiable in ``dense`` (m, n)."""
     return _Product.apply(dense, pair.forward, pair.transposed)

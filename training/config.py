@@ -189,7 +189,7 @@ class TrainConfig:
 
 
 def as_published(model: ModelConfig) -> ModelConfig:
-    """``model`` with the published representation, and without what was added to it since."""
+    """Returns ``model`` with the published representation, and without what was added to it since."""
     return replace(model, variant="paper", corrections=0, fabric=False)
 
 

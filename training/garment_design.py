@@ -369,7 +369,9 @@ def vary(design: Design, rng: np.random.Generator) -> Design:
 
 
 def cut_garment(design: Design, body: BodyModel) -> Garment:
-    """``design`` on ``body`` as the product keeps a garment: fitted patches, no texture coordinates, no rest state."""
+    """Returns ``design`` on ``body`` as the product keeps a garment: fitted patches, no texture coordinates, no rest
+    state.
+    """
     vertices, faces = build_design(design, body)
     key = vertices.tobytes() + faces.tobytes() + body.digest.encode() + f"{FORMAT_VERSION}.{INTAKE_VERSION}".encode()
     mesh = replace(plain_mesh(design.name, vertices, faces), material_names=("cloth",))

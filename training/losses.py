@@ -82,7 +82,7 @@ def waistband_energy(coefficients: Tensor, partition: Partition, garment: Traini
 
 
 def soften(energy: Tensor, knee: float) -> Tensor:
-    """``knee log(1 + e / knee)``: the energy itself while small, its logarithm where nothing can be done.
+    """Returns ``knee log(1 + e / knee)``: the energy itself while small, its logarithm where nothing can be done.
 
     Cloth between an arm and the trunk it lies in touches whatever the network does; without this such frames own the
     gradient.

@@ -56,7 +56,7 @@ class JudgedCloth:
 
     @classmethod
     def of(cls, garment: Garment, body: BodyModel, fabric: Fabric) -> JudgedCloth:
-        """``garment`` made of ``fabric``, in its own rest state."""
+        """Returns ``garment`` made of ``fabric``, in its own rest state."""
         return cls(garment, body, Material.of(fabric), fabric)
 
     @property
@@ -107,7 +107,7 @@ class Judged:
 
     @classmethod
     def of(cls, cloth: JudgedCloth, poses: np.ndarray) -> Judged:
-        """``cloth`` over its body at ``poses`` (n, 24, 3) [rad]."""
+        """Returns ``cloth`` over its body at ``poses`` (n, 24, 3) [rad]."""
         return cls(cloth, cloth.body.posed_vertices(poses), skinned(cloth.garment, cloth.body, poses))
 
     def at(self, frames: slice | np.ndarray) -> Judged:

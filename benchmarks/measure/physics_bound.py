@@ -45,7 +45,7 @@ class Bound:
     processor_s: float
 
     def compare(self, row: Row, plain: Row) -> Row:
-        """``gain`` and ``detail_share`` of ``row``: 0 for the row ``plain`` of skinning, 1 for physics."""
+        """Returns ``gain`` and ``detail_share`` of ``row``: 0 for the row ``plain`` of skinning, 1 for physics."""
         share = metrics.gain(-plain["detail_mm"], -row["detail_mm"], -self.detail_mm)
         return {"gain": metrics.gain(plain["energy_j"], row["energy_j"], self.energy_j), "detail_share": share}
 

@@ -44,7 +44,9 @@ class Collider:
     def push(
         self, vertices: np.ndarray, poses: np.ndarray, betas: np.ndarray, clearance_m: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """``vertices`` [m] (F, V, 3) relative to the root, moved out of the body, and how far [m] (F, V) each went."""
+        """Returns ``vertices`` [m] (F, V, 3) relative to the root, moved out of the body, and how far [m] (F, V) each
+        went.
+        """
         body_vertices = self.posed(poses, betas)
         normals = self.normals(body_vertices)
         colliders = self.vertices

@@ -42,7 +42,7 @@ def check_finite(name: str, array: np.ndarray, *, error: type[InputError] = Inpu
 
 
 def like(reference: Array, value: Any) -> Array:
-    """``value`` as an array of the namespace, dtype and device of ``reference``."""
+    """Returns ``value`` as an array of the namespace, dtype and device of ``reference``."""
     xp = namespace(reference)
     return xp.asarray(value, dtype=reference.dtype, device=device(reference))
 

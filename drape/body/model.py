@@ -73,7 +73,7 @@ class BodyModel:
         return directions
 
     def check_betas(self, betas: np.ndarray) -> np.ndarray:
-        """``betas`` as float64 (S,), padded with zeros; refuses NaN and more entries than the body has."""
+        """Returns ``betas`` as float64 (S,), padded with zeros; refuses NaN and more entries than the body has."""
         betas = np.asarray(betas, dtype=np.float64)
         if betas.ndim != 1 or len(betas) > self.shape_count:
             raise BodyError(

@@ -87,8 +87,9 @@ def pose_parts(poses: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def wandering(support: PoseSupport, count: int, *, seed: int = 0) -> np.ndarray:
-    """``count`` poses (n, 24, 3) [rad] that mix the kept legs, trunks and tilts, as training does; at most as many as
-    are kept."""
+    """Returns ``count`` poses (n, 24, 3) [rad] that mix the kept legs, trunks and tilts, as training does; at most as
+    many as are kept.
+    """
     draw = np.random.default_rng(seed)
     turns = np.tile(np.eye(3), (min(count, len(support.legs), len(support.trunk)), JOINT_COUNT, 1, 1))
     for rows, joints in ((support.legs, LEGS), (support.trunk, TRUNK)):

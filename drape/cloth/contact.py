@@ -115,7 +115,8 @@ def nearest_vertex_push(
     colliders: np.ndarray | None = None,
     passes: int = 2,
 ) -> np.ndarray:
-    """``vertices`` [m] (B, V, 3) with those nearer than ``clearance_m`` moved along the nearest body vertex's normal.
+    """Returns ``vertices`` [m] (B, V, 3) with those nearer than ``clearance_m`` moved along the nearest body vertex's
+    normal.
 
     A second pass follows vertices whose nearest body vertex changed. Every number of quality stands beside this
     baseline.

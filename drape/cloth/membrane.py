@@ -97,7 +97,9 @@ def hessian(corners: Corners, rest: RestTriangles, stiffness: Stiffness, *, defi
 
 
 def bilinear(corners: Corners, rest: RestTriangles, stiffness: Stiffness, left: Corners, right: Corners) -> Array:
-    """``left``^T H ``right`` per triangle (F,), directions like ``corners``; H the definite Hessian, never stored."""
+    """Returns ``left``^T H ``right`` per triangle (F,), directions like ``corners``; H the definite Hessian, never
+    stored.
+    """
     p, t = columns(corners, rest.inverse)
     (lp, lt), (rp, rt) = columns(left, rest.inverse), columns(right, rest.inverse)
     by_left, by_right = (

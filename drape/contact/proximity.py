@@ -64,7 +64,9 @@ def region_bias_of(most: np.ndarray) -> np.ndarray:
 
 
 def in_halves(other: np.ndarray) -> np.ndarray:
-    """``other`` (..., 12) of ``PatchSkin`` as bytes (..., 6): sample i in the low half, i + 6 in the high half."""
+    """Returns ``other`` (..., 12) of ``PatchSkin`` as bytes (..., 6): sample i in the low half, i + 6 in the high
+    half.
+    """
     half = other.shape[-1] // 2
     return other[..., :half] | (other[..., half:] << 4)
 

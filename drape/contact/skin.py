@@ -104,7 +104,7 @@ class ShapedSkin:
         return self.rows[0] + np.tensordot(betas[:, : len(self.rows) - 1].astype(np.float32), self.rows[1:], axes=1)
 
     def table(self, rotations: np.ndarray, translations: np.ndarray, betas: np.ndarray) -> np.ndarray:
-        """``skin_table`` (F, R, 12, 8) float32 of F bodies of shapes ``betas`` (F, >= shapes)."""
+        """Returns ``skin_table`` (F, R, 12, 8) float32 of F bodies of shapes ``betas`` (F, >= shapes)."""
         rotations, translations = rotations.astype(np.float32), translations.astype(np.float32)
         shaped = np.asarray(betas.any(axis=1))
         plain = skin_table(self.rows[0], self.bones, rotations[~shaped], translations[~shaped])

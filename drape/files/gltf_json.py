@@ -186,5 +186,5 @@ def _refusal(error: ValidationError, label: str) -> MeshError:
 
 
 def shown(value: Any) -> str:
-    """``value`` of a document in a few words, however deep it is."""
+    """Returns a few words that show the ``value`` of a document, however deep it is."""
     return f"a {type(value).__name__} of {len(value)}" if isinstance(value, (dict, list)) else repr(value)[:60]

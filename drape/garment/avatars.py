@@ -63,7 +63,7 @@ class PhenotypeSpace:
     base_vertex_count: int
 
     def check(self, phenotype: dict[str, Any]) -> dict[str, float]:
-        """``phenotype`` as numbers, absent entries at 0.5 (age at 2/3, a young adult)."""
+        """Returns ``phenotype`` as numbers, absent entries at 0.5 (age at 2/3, a young adult)."""
         unknown = sorted(set(phenotype) - set(self.labels))
         if unknown:
             raise BodyError(

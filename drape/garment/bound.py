@@ -102,7 +102,7 @@ def bind(
     part: np.ndarray,
     beyond: np.ndarray | None = None,
 ) -> BoundMesh:
-    """``mesh`` with its vertices at ``places`` [m] (D, 3), hung on ``cloth`` [m] (V, 3) of ``faces`` (F, 3).
+    """Returns ``mesh`` with its vertices at ``places`` [m] (D, 3), hung on ``cloth`` [m] (V, 3) of ``faces`` (F, 3).
 
     ``row`` (D,): the cloth's vertex that a drawn one is, else -1. ``part`` (D,): the number of the stiff part that it
     belongs to, else -1. ``beyond`` (D, 3) [m]: where to look for the cloth of each, if not at its place.

@@ -80,7 +80,9 @@ def doubled_faces(material_names: Sequence[str], face_material: np.ndarray, face
 
 
 def subdivided_like(vertices: np.ndarray, faces: np.ndarray, face_count: int) -> np.ndarray:
-    """``vertices`` [m] (V, 3) of ``faces`` (F, 3) and those of the smooth subdivision into ``face_count`` triangles."""
+    """Returns the vertices [m] (N, 3) of a mesh, ``vertices`` (V, 3) and ``faces`` (F, 3), after its smooth subdivision
+    into ``face_count`` triangles; the old ones come first.
+    """
     while len(faces) < face_count:
         vertices, faces, _ = subdivide_smooth(vertices, faces)
     return vertices

@@ -125,8 +125,8 @@ def moved_with_skin(
 def own_skin_weights(
     vertices: np.ndarray, sleeve: np.ndarray, avatar: Avatar, body: BodyModel
 ) -> scipy.sparse.csr_matrix:
-    """``surface_weights`` of a garment: sleeves (``sleeve_of``) have them from the skin of their arm, other cloth from
-    all but arms.
+    """Returns the ``surface_weights`` (V, body V) of a garment: those of sleeves (``sleeve_of``) are taken from the
+    skin of their arm, those of other cloth from all skin but arms.
 
     A hand that hangs beside a skirt is nearer to it than the thigh is, and would take it along.
     """

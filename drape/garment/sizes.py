@@ -107,8 +107,8 @@ def sized_digest(garment: Garment, table: SizeTable, size: str) -> str:
 
 
 def sized(garment: Garment, body: BodyModel, table: SizeTable, size: str) -> Garment:
-    """``garment`` in ``size``, clear of the skin of ``body``, which it was sewn on. It takes seconds, most of them to
-    clear it.
+    """Returns ``garment`` in ``size``, clear of the skin of ``body``, which it was sewn on. It takes seconds, most of
+    them to clear it.
 
     Raises ``MeshError`` where the cloth cannot be brought clear.
     """

@@ -71,7 +71,9 @@ BIN_COUNT = 12  # directions round a bone; a point of cloth covers its own and b
 
 @lru_cache(maxsize=2)
 def thin_body(body: BodyModel) -> BodyModel:
-    """``body`` with one vertex for every ``THIN_M`` of skin, in the same shapes and poses, for fits in little time."""
+    """Returns ``body`` with one vertex for every ``THIN_M`` of skin, in the same shapes and poses, for fits in little
+    time.
+    """
     cell = np.floor(body.v_template / THIN_M).astype(np.int64)
     _, first, label = np.unique(cell, axis=0, return_index=True, return_inverse=True)
     faces = label.reshape(-1)[body.faces]

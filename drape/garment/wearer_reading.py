@@ -46,7 +46,7 @@ class Reading:
         return odd + (ODD["facing"] if self.front not in USUAL_FRONTS.get(self.up, ()) else 0.0)
 
     def apply(self, points: np.ndarray) -> np.ndarray:
-        """``points`` (N, 3) of the file in metres, y up, facing +z."""
+        """Returns ``points`` (N, 3) of the file in metres, y up, facing +z."""
         return self.scale * (points @ self.turn.T)
 
 

@@ -85,7 +85,8 @@ def kinematics(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.
 
 
 def garment_feed(garment: Garment, *, fine: bool = False, body: BodyModel | None = None) -> dict[str, np.ndarray]:
-    """``atlas_feed`` of a garment's delivered vertices, or of all vertices of the subdivided mesh with ``fine``.
+    """Returns ``atlas_feed`` of a garment's delivered vertices, or of all vertices of the subdivided mesh with
+    ``fine``.
 
     ``body``: the one the garment was made for.
     """

@@ -127,7 +127,9 @@ class Tiling:
     width: int
 
     def lay(self, values: np.ndarray) -> np.ndarray:
-        """``values`` (V, 4, n) of the chart entries as tiles (Q, n, width) float32; zero where no entry lies."""
+        """Returns ``values`` (V, 4, n) of the chart entries as tiles (Q, n, width) float32; zero where no entry
+        lies.
+        """
         tiles = np.zeros((len(self.patch) * self.width, values.shape[-1]), dtype=np.float32)
         tiles[self.column.reshape(-1)] = values.reshape(-1, values.shape[-1])
         laid = tiles.reshape(len(self.patch), self.width, -1).transpose(0, 2, 1)

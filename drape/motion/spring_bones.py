@@ -77,7 +77,7 @@ def step(
 
 
 def on_sphere(points: np.ndarray, head: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """``points`` (..., E, 3) as far from the ``head`` as ``rest`` is."""
+    """Returns ``points`` (..., E, 3) moved so that each is as far from its ``head`` as ``rest`` is."""
     way, length = points - head, np.linalg.norm(rest - head, axis=-1, keepdims=True)
     return head + way * (length / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-12))
 

@@ -71,7 +71,7 @@ class Stage(StageRules):
         return 0
 
     def run(self, batch: Batch) -> Batch:
-        """``batch`` with what this stage makes of it."""
+        """Returns ``batch`` after this stage."""
         raise NotImplementedError
 
     def steps(self, batch: Batch) -> Iterator[Batch]:

@@ -121,7 +121,7 @@ def drape_pattern(
     skin: SignedDistance | None = None,
     report: Say | None = None,
 ) -> Draped:
-    """``pattern`` sewn round ``body`` and at rest on it, in the T-pose and then in ``pose`` (24, 3).
+    """Returns ``pattern`` sewn round ``body`` and at rest on it, in the T-pose and then in ``pose`` (24, 3).
 
     ``cloth`` replaces the fabric that the options name; ``skin`` is the body's distance in the T-pose, if the caller
     has it. Raises ``InputError`` (or ``MeshError``) for a pattern that cannot be meshed, placed or closed round this

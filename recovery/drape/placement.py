@@ -63,7 +63,7 @@ class PlacedPanels:
 
 
 def scale_pattern(pattern: Pattern, factor: float) -> Pattern:
-    """``pattern`` sized up or down: panels and the places of their middles alike."""
+    """Returns ``pattern`` scaled by ``factor``: panels and the places of their middles alike."""
     if not 0.5 <= factor <= 2.0:
         raise InputError("scale", expected="a factor from 0.5 to 2", got=f"{factor}", cure="Draft a new size instead.")
 

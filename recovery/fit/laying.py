@@ -52,7 +52,7 @@ OTHER_FOLDS_MM = 3.0  # mean distance of two drapes of a pattern: of two meshes 
 
 
 def laying_options(drape: SewingOptions) -> SewingOptions:
-    """``drape`` for cloth that will be laid: it need not come to rest, and edges are short."""
+    """Returns ``drape`` for cloth that will be laid: it need not come to rest, and edges are short."""
     length = min(EDGE_M, drape.edge_length_m)
     return replace(drape, edge_length_m=length, iteration_limit=0, hangs_longer=HANGS_LONGER)
 

@@ -99,8 +99,9 @@ def sew_and_dress(
     off_mm: Callable[[Draped], float] = lambda one: 0.0,
     enough_mm: float = 0.0,
 ) -> DressedDrape:
-    """``pattern`` sewn from flat panels as ``drape_worn`` does it, and put on as ``shown`` lies. Raises ``InputError``
-    where it cannot be sewn."""
+    """Returns ``pattern`` sewn from flat panels as ``drape_worn`` does it, and put on as ``shown`` lies. Raises
+    ``InputError`` where it cannot be sewn.
+    """
     pairs: list[DressedDrape] = []
 
     def mended(loose: Draped) -> Draped:
@@ -122,7 +123,7 @@ def needed_length(draped: Draped, options: SewingOptions) -> float:
 
 
 def drape_at_rest(pattern: Pattern, start: DrapeStart) -> Draped:
-    """``drape_worn`` of ``pattern``. Raises ``InputError`` where it does not come to rest."""
+    """Returns ``drape_worn`` of ``pattern``. Raises ``InputError`` where it does not come to rest."""
     draped = drape_worn(pattern, start)
     if not draped.at_rest:
         left = max(one.report.residual_n for one in (draped.rest, draped.posed) if one is not None)

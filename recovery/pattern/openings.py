@@ -25,7 +25,7 @@ COLLAR_LEAN_M = 0.01  # by which each end of a collar's outer edge is longer: it
 
 
 def with_collar(pattern: Pattern, width_m: float) -> Pattern:
-    """``pattern`` with a straight collar as long as its neckline, open in the middle of the front, sewn to it.
+    """Returns ``pattern`` with a straight collar as long as its neckline, open in the middle of the front, sewn to it.
 
     Nothing turns it over when it is draped. Its ends lean outward.
     """
@@ -36,10 +36,10 @@ def with_collar(pattern: Pattern, width_m: float) -> Pattern:
 
 
 def with_ribs(pattern: Pattern, name: str, width_m: float, shorter: float) -> Pattern:
-    """``pattern`` whose bands ``name``, which were cut off, are straight ribs, closed to rings.
+    """Returns ``pattern`` whose bands ``name``, which were cut off, are straight ribs, closed to rings.
 
-    A rib is ``shorter`` by that share than what it is sewn to, and its seam is at the back of a neck, below an arm,
-    at the side of a hem.
+    A rib is ``shorter`` by that share than what it is sewn to, and its seam is at the back of a neck, below an arm, at
+    the side of a hem.
     """
     word = name.removesuffix("s")
     bands = {panel.name for panel in pattern.panels if panel.name.endswith(f"_{word}")}

@@ -206,7 +206,7 @@ class Chain(NamedTuple):
 
 
 def strips(pattern: Pattern, chains: Sequence[Chain], width_m: float) -> Pattern:
-    """``pattern`` with a strip of ``width_m`` cut off along every one of ``chains`` and sewn on again.
+    """Returns ``pattern`` with a strip of ``width_m`` cut off along every one of ``chains`` and sewn on again.
 
     The width is measured along the edges beside a chain, which may be seams: so strips of neighbouring panels meet.
     Raises ``InputError`` where such an edge is too short, or the line would leave its panel.

@@ -70,7 +70,8 @@ NO_STYLE = Style({})
 
 
 def add_style_lines(pattern: Pattern, style: Style) -> Pattern:
-    """``pattern`` with the bands and yokes of ``style`` cut off: it drapes as before. Raises ``InputError`` as they do.
+    """Returns ``pattern`` with the bands and yokes of ``style`` cut off: it drapes as before. Raises ``InputError`` as
+    they do.
 
     Yokes come first, so that a neckband takes its share of them.
     """
@@ -85,7 +86,7 @@ def add_style_lines(pattern: Pattern, style: Style) -> Pattern:
 
 
 def finish_pattern(pattern: Pattern, style: Style) -> Pattern:
-    """``pattern``, which has its style lines, with sleeves and yokes joined and a collar drafted."""
+    """Returns ``pattern``, which has its style lines, with sleeves and yokes joined and a collar drafted."""
     if style.whole_sleeves:
         pattern = _whole_sleeves(pattern)
     if all(name in style.widths_m for name in YOKES):

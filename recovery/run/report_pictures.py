@@ -175,7 +175,7 @@ def worn_elsewhere(places: list[WornElsewhere]) -> bytes:
 
 
 def png(figure: Figure) -> bytes:
-    """``figure`` as a PNG with a palette."""
+    """Returns ``figure`` as a PNG with a palette."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     picture = Image.open(buffer).convert("RGB")

@@ -71,7 +71,7 @@ class TargetWearer:
 
 
 def shape_body(body: BodyModel, betas: np.ndarray) -> BodyModel:
-    """``body`` whose template has the shape ``betas``; itself where they are zero."""
+    """Returns ``body`` whose template has the shape ``betas``; itself where they are zero."""
     betas = body.check_betas(betas)
     if not betas.any():
         return body
@@ -201,9 +201,9 @@ def up_axis(mesh: GarmentMesh) -> str:
 
 
 def facing(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh``, y up, turned about y by at most a right angle until its limbs lie side by side.
+    """Returns ``mesh``, y up, turned about y by at most a right angle until its limbs lie side by side.
 
-    It is itself where they nearly do, where it has two openings, and where its limbs lie together.
+    It is returned as it is where they nearly do, where it has two openings, and where its limbs lie together.
     """
     contours = long_contours(mesh)
     if len(contours) < 3:

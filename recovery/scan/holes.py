@@ -65,7 +65,9 @@ def known_faces(mesh: GarmentMesh) -> np.ndarray:
 def close_holes(
     mesh: GarmentMesh, is_hole: Callable[[Loop], bool], is_opening: Callable[[Loop], bool] = plainly_opening
 ) -> Closing:
-    """``mesh`` with the bites of its openings and those borders that are holes closed. Faces agree in orientation."""
+    """Returns ``mesh`` with the bites of its openings and those borders that are holes closed. Faces agree in
+    orientation.
+    """
     loops = borders(mesh)
     holes = [one for one in loops if is_hole(one)]
     rims, largest = [one.loop for one in holes], max((one.length for one in holes), default=0.0)
@@ -246,7 +248,7 @@ def _with_faces(mesh: GarmentMesh, vertices: np.ndarray, faces: np.ndarray) -> G
 
 
 def fair_patches(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` with its patches as smooth as the cloth about them lets them be; mouths of bites stay.
+    """Returns ``mesh`` with its patches as smooth as the cloth about them lets them be; mouths of bites stay.
 
     Least bending (squared umbrella Laplacian); where noise makes that bulge, least area instead.
     """

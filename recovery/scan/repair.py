@@ -65,7 +65,9 @@ def read_target(path: Path, *, label: str | None = None) -> GarmentMesh:
 
 
 def mend_sheet(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` as one sheet: every edge has one face or two, neighbours agree, plain holes and bites are closed."""
+    """Returns ``mesh`` as one sheet: every edge has one face or two, neighbours agree, plain holes and bites are
+    closed.
+    """
     progress.tick("copies and flat faces")
     mesh = without_flat_faces(without_copies(weld(mesh)))
     progress.tick("branches")
@@ -163,7 +165,7 @@ def orient_faces(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def without_turned_hems(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh``, whose faces agree in orientation, cut off at the folds of hems that are turned in."""
+    """Returns ``mesh``, whose faces agree in orientation, cut off at the folds of hems that are turned in."""
     normals = meshes.face_normals(mesh.vertices, mesh.faces)
     pairs = np.stack(meshes.edge_pairs(mesh.faces)[1:]) // 3
     pairs = pairs[:, (normals[pairs[0]] * normals[pairs[1]]).sum(axis=1) > SMOOTH]

@@ -35,10 +35,11 @@ def hessian(
     scale: float = 1.0,
     blocks: np.ndarray | None = None,
 ) -> scipy.sparse.csc_matrix:
-    """``scale`` times the second derivative [N/m] (3V, 3V) of ``energy``, plus ``blocks`` (V, 3, 3) of the nodes.
+    """Returns ``scale`` times the second derivative [N/m] (3V, 3V) of ``energy``, plus ``blocks`` (V, 3, 3) of the
+    nodes.
 
-    Rows and columns of fixed nodes are those of the identity. ``definite`` makes every element positive
-    semidefinite: triangles keep the tensile stress only, hinges are as stiff as unbent ones.
+    Rows and columns of fixed nodes are those of the identity. ``definite`` makes every element positive semidefinite:
+    triangles keep the tensile stress only, hinges are as stiff as unbent ones.
     """
     stretched = membrane.hessian(model.triangles(x), rest.triangles, parameters.membrane, definite=definite)
     bent = bending.hessian(model.hinges(x), *_hinges(model, rest, parameters), definite=definite)

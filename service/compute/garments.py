@@ -189,7 +189,7 @@ def _read(path: Path, body: BodyModel, max_vertices: int) -> Garment:
 
 
 def slug(name: str) -> str:
-    """``name`` with only letters, digits, dot, dash and underscore."""
+    """Returns ``name`` with only letters, digits, dot, dash and underscore."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.")[:80] or "garment"
 
 

@@ -229,7 +229,7 @@ class TierInfo(BaseModel):
 
     @classmethod
     def of(cls, tier: Tier, pass_count: int, *, default: TierName) -> TierInfo:
-        """``tier`` of a model that leaves ``pass_count`` passes to choose."""
+        """Returns the answer about ``tier``, of a model that leaves ``pass_count`` passes to choose."""
         passes, alone = (min(pass_count, pass_count if p is None else p) for p in (tier.passes, tier.alone))
         named = TypeAdapter(TierName).validate_python(tier.name)
         return cls(

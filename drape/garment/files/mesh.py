@@ -82,7 +82,7 @@ def fans(sides: np.ndarray) -> np.ndarray:
 
 
 def weld(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` with vertices at exactly the same place made one; order of first appearance."""
+    """Returns ``mesh`` with vertices at exactly the same place made one; order of first appearance."""
     _, first, inverse = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
     if len(first) == len(mesh.vertices):
         return mesh
