@@ -290,7 +290,7 @@ def view_row(bench: FrameBench, view: View) -> Row:
     Option("--frames", 64, "of each stream that count", 24),
 )
 def main(run: Run) -> None:
-    """Rows by kernel, of threads, and of what need not be computed."""
+    """Measures kernels, threads, and frames that need not compute all, and adds their rows to ``run``."""
     options, body, folder = run.options, load_body(), model_folder(run.options.model)
     poses = at_rate(read_motion(find_motions(options.motions or ["walk"])[0]), FPS).poses
 

@@ -54,7 +54,7 @@ COLUMNS = {
     Option("--streams", (), "numbers of streams beside which each file is sent to a service", kind=int),
 )
 def main(run: Run) -> None:
-    """A row for every file; a shipped garment has no intake."""
+    """Takes every file in and adds a row for each to ``run``; a shipped garment has no intake."""
     body = load_body()
     drapery = DrapeRuntime(Settings(threads=1))
     dress = [open_garment(find_garments(["dress"])[0], body)]

@@ -182,7 +182,7 @@ def share_inside(vertices: np.ndarray, joints: np.ndarray, held: dict[str, list[
     Option("--tier", "balanced", "that drapes"),
 )
 def main(run: Run) -> None:
-    """A row for every garment of every file and clip."""
+    """Adds a row to ``run`` for every garment of every file in every clip."""
     drape = load()
     for path in find_garments(run.options.garments):
         try:

@@ -214,7 +214,7 @@ def summary(rows: Sequence[Row], tiers: Sequence[str], clips: str = "") -> list[
     Option("--sheet", "", "a PNG of the worst frames"),
 )
 def main(run: Run) -> None:
-    """Rows of every garment over every clip in every tier, the worst first, and means."""
+    """Adds to ``run`` a row for every garment, clip and tier, the worst first, and the means."""
     options, body = run.options, load_body()
     drapery, sheet = DrapeRuntime(Settings(threads=1, model=options.model)), Sheet()
     captured = lively_clips(options.captured, options.captured_frames, body)

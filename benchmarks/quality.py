@@ -241,7 +241,7 @@ def _in_fabric(garment: str, fabric_name: str | None) -> str:
     Option("--no-physics-cache", False, "minimise again instead of taking stored drapes, store none"),
 )
 def main(run: Run) -> None:
-    """Rows of every garment in every fabric, and their means."""
+    """Adds to ``run`` the rows of every garment in every fabric, and their means."""
     options, body = run.options, load_body()
     bench = open_bench(options, body)
     benches = in_fabrics(bench, options)

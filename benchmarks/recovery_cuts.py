@@ -107,10 +107,10 @@ def as_user(target: Path, out: Path, *words: str) -> RecoveryJob:
 
 
 def recover_job(job: RecoveryJob, told: Callable[[Cut | None, int], str], pictures: Path | None) -> Row:
-    """The figures of ``job``; a target that is refused has the sentence in place of them.
+    """Returns the row of ``job``: its figures, or the sentence of the refusal.
 
-    ``told`` says of the cut, None for a refusal, and the number of panels whether they are right. The folder
-    ``pictures`` gets the report and a picture under the target's name.
+    ``told`` takes the cut, None for a refusal, and the number of panels, and returns the words on whether they are
+    right. The folder ``pictures`` gets the report and a picture under the target's name.
     """
     began, refusal, outcome = time.process_time(), "", None
     try:

@@ -139,7 +139,7 @@ def outfits(names: list[str]) -> Iterator[list[Garment]]:
     Option("--exact", False, "makes the exact drape of each garment that is worn alone"),
 )
 def main(run: Run) -> None:
-    """Rows of every garment in two poses of every clip, and those of the record."""
+    """Adds to ``run`` the rows of every garment in two poses of every clip, and those of the record."""
     options, body = run.options, load_body()
     stills = Stills(DrapeRuntime(Settings(threads=1, model=options.model)), anew=options.anew)
     clips = read_case_clips(options, body, FPS)

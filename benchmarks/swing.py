@@ -214,7 +214,7 @@ def of_other_scenes(rows: list[Row]) -> list[Row]:
     Option("--no-simulator", False, "without the simulator, which takes minutes", True),
 )
 def main(run: Run) -> None:
-    """Rows of every garment in every fabric over every clip."""
+    """Adds to ``run`` the rows of every garment in every fabric over every clip."""
     options, body = run.options, load_body()
     network = ModelDrape.asked(options, body, passes=0)
     others = [name for name in options.motions if name not in MADE]

@@ -281,7 +281,7 @@ def combinations(steps: Sequence[int]) -> list[Knobs]:
     Option("--write", False, "put the tiers into the model's manifest"),
 )
 def main(run: Run) -> None:
-    """Rows of every scene, their means, and the tiers."""
+    """Adds to ``run`` the rows of every scene, their means, and the tiers."""
     options, body = run.options, load_body()
     folder = model_folder(options.model)
     drapery = DrapeRuntime(Settings(model=str(folder), threads=options.threads), body=body)

@@ -132,7 +132,7 @@ def judge_case(case: WornCase, body: BodyModel) -> dict[str, object]:
     Option("--garments", (), "of the catalogue (all)", kind=str),
 )
 def main(run: Run) -> None:
-    """A row for every case; the shares that are right, and the means."""
+    """Adds to ``run`` a row for every case, the shares that are right, and the means."""
     body, draw = load_body(), np.random.default_rng(7)
     shapes = draw_bodies(body)
     garments = [open_garment(name, body) for name in find_garments(run.options.garments)]

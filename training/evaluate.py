@@ -172,7 +172,7 @@ def _all_frames(posed: Posed) -> np.ndarray:
 
 
 def print_rows(rows: list[dict[str, Any]]) -> None:
-    """A table of ``rows``, the charts' disagreement behind the network's."""
+    """Prints a table of ``rows``; those that have it end with the disagreement of charts."""
     width = max(len(row["garment"]) for row in rows)
     print(f"{'garment':{width}}  {'method':13}  " + "  ".join(f"{column:>10}" for column in COLUMNS))
     for row in rows:

@@ -76,7 +76,7 @@ def add_garment(
     *,
     root_motion: RootMotion | None = None,
 ) -> None:
-    """The garment at ``frames`` (F, V, 3) [m], animated if there are several.
+    """Adds the garment at ``frames`` (F, V, 3) [m] to ``file``, animated if there are several.
 
     With a ``root_motion`` it is quantised: no coordinate is off by more than half a step, 1/65534 of the box's longer
     half. Without one it is in float32. Raises ``InputError`` for a motion of another number of frames.

@@ -169,7 +169,9 @@ def surface_weights(points: np.ndarray, avatar: Avatar, counts: np.ndarray | Non
 
 
 def smoother(vertices: np.ndarray, faces: np.ndarray, length_m: float):
-    """A function that smooths fields (V, C) along the mesh over ``length_m``: (I + length^2 L)^-1, constants kept."""
+    """Returns a function that smooths fields (V, C) along the mesh over ``length_m``: (I + length^2 L)^-1, constants
+    kept.
+    """
     return symmetric_factor(scipy.sparse.identity(len(vertices)) + _laplacian(vertices, faces, length_m)).solve
 
 

@@ -65,7 +65,7 @@ def sew_band(assembly: Assembly, band: BandShape, to: Sequence[Edge], tube: Tube
 
 
 def sew_waistband(assembly: Assembly, body: BodyMeasurements, top: float, to: Sequence[Edge], width_m: float) -> None:
-    """A band of ``width_m`` above the edges ``to``, the waist of a garment at the height ``top`` [m]."""
+    """Sews a band of ``width_m`` above the edges ``to``, the waist of a garment at the height ``top`` [m]."""
     middle = (0.0, top + 0.01, 0.5 * (body.front_z + body.back_z))
     tube = Tube(middle, UP, FORWARD, body.girth_at(top) / 5.0)
     sew_band(assembly, BandShape("waistband", width_m, WAISTBAND_SHORTER, above=True), to, tube)

@@ -137,7 +137,7 @@ class Probes(ThreadingHTTPServer):
             self._places.release()
 
     def handle_error(self, request, client_address) -> None:
-        """A client that left is no error of ours."""
+        """Does nothing: a client that left is no error of ours."""
 
 
 class _Handler(BaseHTTPRequestHandler):

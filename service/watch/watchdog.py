@@ -151,7 +151,7 @@ class Watchdog:
 
 
 def end_when_told() -> None:
-    """From now on SIGTERM ends this process within 15 s, 5 after its drain, whatever hangs; ``told_to_end`` sees it.
+    """Lets SIGTERM end this process within 15 s, 5 after its drain, whatever hangs; ``told_to_end`` sees it.
 
     A handler of Python waits for the main thread and for the interpreter lock. These are functions of C, which get the
     signal's number: ``alarm(15)`` of SIGTERM and, after all stacks, ``_exit(14)`` of the alarm, as nothing else ends a
