@@ -29,7 +29,7 @@ class Ease(NamedTuple):
 
     @property
     def ease_m(self) -> float:
-        """The garment's girth minus the body's."""
+        """The garment's girth minus the body's [m]."""
         return self.garment_m - self.body_m
 
 

@@ -109,7 +109,7 @@ class PackedGarment:
 
     @property
     def bytes(self) -> int:
-        """Memory of all arrays."""
+        """The memory of all arrays [bytes]."""
         indices = [self.heaviest, self.tile_patch, self.vertex_charts, self.anchor_charts, self.member_anchor]
         arrays = [*self.stored.values(), *indices]
         return sum(array.nbytes for array in arrays)
@@ -280,7 +280,7 @@ class Composition:
 
     @property
     def bytes(self) -> int:
-        """Memory of the index tensors."""
+        """The memory of the index tensors [bytes]."""
         return sum(array.nbytes for array in self.arrays.values())
 
 

@@ -41,7 +41,7 @@ class WholeGraph:
 
     @property
     def held_bytes(self) -> int:
-        """Memory of the garments' constants."""
+        """The memory of the garments' constants [bytes]."""
         feeds = [feed for key, feed in self._feeds.items() if key not in self._worn]
         return sum(array.nbytes for feed in feeds for array in feed.values())
 

@@ -39,7 +39,7 @@ class SwingConstants(Recorded):
 
     @property
     def nbytes(self) -> int:
-        """Memory of the mesh."""
+        """The memory of the mesh [bytes]."""
         return array_bytes(tuple(self.mesh)) + self.index.nbytes + self.held.nbytes
 
 

@@ -72,7 +72,7 @@ class OneLevel:
 
     @property
     def nbytes(self) -> int:
-        """Memory of the arrays."""
+        """The memory of the arrays [bytes]."""
         return self.constants.nbytes
 
     @property
@@ -112,7 +112,7 @@ class TwoLevel:
 
     @property
     def nbytes(self) -> int:
-        """Memory of the arrays."""
+        """The memory of the arrays [bytes]."""
         return array_bytes(self.levels)
 
     def own(self, memory: Memory) -> np.ndarray:

@@ -39,7 +39,7 @@ def kept_poses(support: PoseSupport) -> KeptPoses:
 
 
 def novelty(kept: KeptPoses, poses: np.ndarray) -> np.ndarray:
-    """How unlike training each of ``poses`` (F, 24, 3) [rad] is, (F,): above 1 it is outside."""
+    """Returns how unlike training each of ``poses`` (F, 24, 3) [rad] is, (F,): above 1 it is farther than it may be."""
     matrices, found = joint_rotations(poses)[1].astype(np.float32), np.empty(len(poses), np.float32)
     call_with_scratch("novelty", np.float32, kept, matrices, len(poses), found)
     return found

@@ -67,7 +67,7 @@ class Stage(StageRules):
 
     @property
     def held_bytes(self) -> int:
-        """Memory of its constants where the graphs compute."""
+        """The memory [bytes] of its constants where the graphs compute."""
         return 0
 
     def run(self, batch: Batch) -> Batch:

@@ -202,7 +202,11 @@ def _strip(mesh: GarmentMesh, one: Loop, normals: np.ndarray, a: np.ndarray, b: 
 
 
 def check_unworn(mesh: GarmentMesh) -> None:
-    """Refuses a scan in which cloth and wearer are one surface, with the tip of a bag, farthest from the openings."""
+    """Refuses (``ScanFault``) a scan in which cloth and wearer are one surface, as where it closes over a head or a
+    hand.
+
+    Such a surface has a bag: a part far from the openings with a narrow mouth. The place of the fault is the bag's tip.
+    """
     rim = meshes.boundary_vertices(mesh.faces)
     graph = mesh_graphs.edge_graph(mesh.vertices, mesh.faces)
     far = csgraph.dijkstra(graph, directed=False, indices=rim, min_only=True)
