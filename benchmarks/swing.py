@@ -196,7 +196,7 @@ def measure_scene(scene: CaseScene, network: ModelDrape, *, simulator: bool) -> 
 
 
 def of_other_scenes(rows: list[Row]) -> list[Row]:
-    """The rows of the record whose scenes have none in ``rows``."""
+    """Returns the rows of the record ``swing.json`` whose scene is that of none of ``rows``."""
     path = RESULTS_DIR / "swing.json"
     kept = json.loads(path.read_text())["rows"] if path.is_file() else []
     own = {tuple(row[name] for name in SCENE) for row in rows}

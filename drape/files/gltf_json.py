@@ -154,8 +154,11 @@ class Document(Part):
 
 
 def document_of(text: bytes, label: str) -> Document:
-    """The checked document in the ``text`` of a file's JSON chunk; refuses (``MeshError``) anything else, the first
-    field that is wrong, and required extensions that change what is read."""
+    """Returns the checked document in the ``text`` of a file's JSON chunk.
+
+    Raises ``MeshError`` where the text is no JSON, at the first field that is wrong, and for required extensions that
+    change what is read.
+    """
     marks = sum(text.count(mark) for mark in b",:[{")
     if marks > MOST_MARKS:
         expected = f"at most {MOST_MARKS:,} commas, colons and brackets"
