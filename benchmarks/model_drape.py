@@ -69,7 +69,7 @@ class ModelDrape:
 
     @property
     def passes(self) -> int:
-        """How many corrections run; 0 also where the model leaves no choice."""
+        """The number of corrections that run; 0 if the model does not offer a choice of it."""
         return self.engine.pass_count if self._plan.passes is None else self._plan.passes
 
     def record(self) -> dict[str, str]:

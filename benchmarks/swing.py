@@ -55,19 +55,19 @@ def turn_yaw(time_s: np.ndarray, turns_per_s: float) -> np.ndarray:
 
 
 def stop_way(time_s: np.ndarray) -> np.ndarray:
-    """The way [m] (F, 3) of a body that goes forward with 1.4 m/s and stops in 0.2 s."""
+    """The root's displacement [m] (F, 3) of a body that goes forward with 1.4 m/s and stops in 0.2 s."""
     rate = np.interp(time_s, [0.5, 1.0, 1.6, 1.8], [0.0, 1.4, 1.4, 0.0])
     return _summed(rate, time_s)[:, None] * np.array([0.0, 0.0, 1.0])
 
 
 def step_way(time_s: np.ndarray) -> np.ndarray:
-    """The way [m] (F, 3) of a body that steps up and forward by 0.3 m in 0.4 s."""
+    """The root's displacement [m] (F, 3) of a body that steps up and forward by 0.3 m in 0.4 s."""
     done = np.clip((time_s - 0.5) / 0.4, 0.0, 1.0)
     return (0.3 * done**2 * (3.0 - 2.0 * done))[:, None] * np.array([0.0, 1.0, 1.0])
 
 
 def fall_way(time_s: np.ndarray) -> np.ndarray:
-    """The way [m] (F, 3) of a body that falls by ``FALL_M`` freely and lands in ``LANDING_S``."""
+    """The root's displacement [m] (F, 3) of a body that falls by ``FALL_M`` freely and lands in ``LANDING_S``."""
     free_s = np.sqrt(2.0 * FALL_M / GRAVITY_M_S2)
     rate = np.interp(time_s, 0.5 + np.array([0.0, free_s, free_s + LANDING_S]), [0.0, -GRAVITY_M_S2 * free_s, 0.0])
     return _summed(rate, time_s)[:, None] * np.array([0.0, 1.0, 0.0])

@@ -267,8 +267,8 @@ def subdivide_smooth(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarra
 def refine(
     vertices: np.ndarray, faces: np.ndarray, *, at_least: int, at_most: int, edge_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Subdivides until the mesh has a mean edge of ``edge_m`` and ``at_least`` vertices, or half of these where edges
-    are ``DENSE`` of that, but not past ``at_most``.
+    """Subdivides until the mean edge is at most ``edge_m`` [m] and there are ``at_least`` vertices, but not past
+    ``at_most``. Half as many suffice where the mean edge is at most ``DENSE`` times ``edge_m``.
 
     Returns vertices (N, 3), faces (G, 3) and the delivered vertex that each one is nearest to by descent, (N,).
     """

@@ -1,5 +1,5 @@
 """The coarse mesh on which cloth swings: nodes spread evenly along the cloth, triangles between them, and weights that
-move the vertices by the nodes' ways.
+move the vertices by the nodes' displacements.
 
 A node is a vertex of the garment. Distances are along the cloth at rest: the shortest way over edges and over the
 diagonals of two triangles laid flat. Every vertex belongs to its nearest node. A triangle of the garment whose corners

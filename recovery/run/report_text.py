@@ -163,7 +163,7 @@ def seam_max_pct(outcome: Outcome) -> float:
 
 
 def cut_of(outcome: Outcome) -> str:
-    """The cut in words: its base, its panels and seams, and what of the target's it is not."""
+    """Returns the cut in words: its base, its panels and seams, and in what it differs from the target's."""
     pattern = outcome.pattern
     words = f"{outcome.task.cut.called}: {len(pattern.panels)} panels, {len(pattern.stitches)} seams"
     if outcome.written.style:
