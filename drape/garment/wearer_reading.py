@@ -143,8 +143,8 @@ class Wearer:
         return self._facts() | {"others": others}
 
     def unlike(self, other: Wearer) -> str:
-        """Returns words for how it differs from ``other`` where ``words`` are alike, such as ", the cloth 9 cm lower";
-        empty if in nothing."""
+        """Returns words for how it differs from ``other`` where the ``words`` of both are alike, such as ", the cloth
+        9 cm lower"; empty if it does not differ."""
         if (self.reading.up, self.reading.front) != (other.reading.up, other.reading.front):
             return f", facing {self.reading.front.lstrip('+')}"
         rise_cm = round(100.0 * float(self.trans[1] - other.trans[1]))
