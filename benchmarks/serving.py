@@ -106,7 +106,7 @@ class Spent:
 
 @contextlib.contextmanager
 def server(module: str = "service", **settings: object) -> Iterator[Server]:
-    """``python -m module`` on a free loopback port, with ``settings`` and no garments of anybody's."""
+    """``python -m module`` on a free loopback port, with ``settings`` and an empty folder of uploads."""
     with tempfile.TemporaryDirectory() as folder:
         named = {f"DRAPE_{name.upper()}": str(value) for name, value in settings.items()}
         environment = os.environ | {"DRAPE_GARMENTS_DIR": folder} | named
