@@ -35,7 +35,7 @@ LIMBS = [n for n, name in enumerate(JOINT_NAMES) if name.split("_")[-1] in ("sho
 
 
 def fabrics_option(*names: str) -> Option:
-    """The option ``--fabrics`` of a benchmark; it holds ``names`` where it is not given."""
+    """Returns the option ``--fabrics`` of a benchmark; ``names`` is its default."""
     return Option("--fabrics", names, "what garments are made of", names[:1])
 
 
@@ -58,21 +58,24 @@ class CaseClip:
     def of(
         cls, name: str, fps: float, poses: np.ndarray, body: BodyModel, *, trans: Any = None, looked_at: int = MEASURED
     ) -> CaseClip:
-        """``poses`` (F, 24, 3) of which at most ``looked_at``, spread over them, are measured."""
+        """Returns a clip of ``poses`` (F, 24, 3) [rad] with the root at ``trans`` [m] (F, 3), zeros if left out.
+
+        At most ``looked_at`` frames, spread evenly over the clip, are measured.
+        """
         measured = np.unique(np.linspace(0, len(poses) - 1, looked_at).astype(int))
         places = np.zeros((len(poses), 3)) if trans is None else np.array(trans)
         return cls(name, fps, np.array(poses), places, body, measured, tuple(f"{name}:{frame}" for frame in measured))
 
     @classmethod
     def read(cls, path: Path, fps: float, frames: int, body: BodyModel, *, looked_at: int = MEASURED) -> CaseClip:
-        """The first ``frames`` of the motion at ``path``, resampled to ``fps``."""
+        """Returns a clip of the first ``frames`` of the motion at ``path``, resampled to ``fps``."""
         motion = at_rate(read_motion(path), fps)
         trans = motion.trans[:frames]
         return cls.of(motion.name, fps, motion.poses[:frames], body, trans=trans, looked_at=looked_at)
 
     @classmethod
     def hard(cls, chosen: HardPoses, body: BodyModel) -> CaseClip:
-        """Single poses without a past, all of which are measured."""
+        """Returns a clip of the ``chosen`` poses, which do not follow each other. All of them are measured."""
         frames = np.arange(len(chosen.poses))
         return cls("poses", FPS, chosen.poses, np.zeros((len(frames), 3)), body, frames, chosen.labels)
 
@@ -102,7 +105,7 @@ def skinned(garment: Garment, body: BodyModel, poses: np.ndarray) -> np.ndarray:
 
 
 def pushed(vertices: np.ndarray, body: BodyModel, poses: np.ndarray) -> np.ndarray:
-    """``vertices`` [m] (F, V, 3), those in the skin moved out along the normal of the nearest body vertex."""
+    """Returns ``vertices`` [m] (F, V, 3), those in the skin moved out along the normal of the nearest body vertex."""
     posed = body.posed_vertices(poses)
     return nearest_vertex_push(vertices, posed, np.asarray(BodyContact(body.faces, body.vertex_count).normals(posed)))
 
@@ -117,7 +120,7 @@ class CaseScene:
 
     @property
     def name(self) -> dict[str, Any]:
-        """The columns that tell the scene from others."""
+        """Returns the columns of a row that name the scene: garment, fabric and clip."""
         return {"garment": self.garment.name, "fabric": self.fabric.name, "clip": self.clip.name}
 
     @property
@@ -156,7 +159,9 @@ def read_case_clips(options: argparse.Namespace, body: BodyModel, fps: float = F
 
 
 def lively_clips(names: Sequence[str], frames: int, body: BodyModel, fps: float = FPS) -> list[CaseClip]:
-    """Of each of ``names`` the ``frames`` (or all) through which limbs turn most, as ``CLIP@FIRST``."""
+    """Returns a clip for each of ``names``: the ``frames`` in a row (or all) through which limbs turn most. It is named
+    ``CLIP@FIRST``.
+    """
     clips = []
     for path in find_motions(names) if names else ():
         motion = at_rate(read_motion(path), fps)
@@ -169,6 +174,10 @@ def lively_clips(names: Sequence[str], frames: int, body: BodyModel, fps: float 
 
 
 def folded_poses(constants: FoldConstants, start: np.ndarray, skin: np.ndarray, effort: FoldEffort) -> np.ndarray:
-    """Poses without a past with folds [m] (F, V, 3) float64, from ``start`` (F, V, 3) over ``skin`` (F, S, 8)."""
+    """Returns vertices [m] (F, V, 3), float64: the drapes ``start`` (F, V, 3) over the skin samples ``skin`` (F, S, 8)
+    after folds.
+
+    Each frame is folded by itself, as a pose without a past.
+    """
     frames = (Frame(vertices, samples, 0.0) for vertices, samples in zip(start, skin, strict=True))
     return np.stack([fold(constants, None, frame, effort)[0] for frame in frames]).astype(np.float64)

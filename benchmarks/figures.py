@@ -32,7 +32,9 @@ class Headline:
 
 
 def headline(records: Records) -> Headline:
-    """The three numbers at the head of README: gain and frame time of the default tier, and the streams it carries."""
+    """Returns the three numbers at the head of README: gain and frame time of the default tier, and the streams it
+    carries.
+    """
     trade, serving = records["tradeoff"], records["serving"]
     (gain,) = [row["gain"] for row in trade["means"] if row["tier"] == DEFAULT_TIER]
     streams = serving["max_clients"][f"service {DEFAULT_TIER}"]
@@ -49,7 +51,7 @@ def headline(records: Records) -> Headline:
 
 
 def three_numbers(records: Records) -> str:
-    """README's table of the three numbers, and the machines that they were measured on."""
+    """Returns README's Markdown table of the three numbers, and a sentence on the machines that measured them."""
     one, trade, serving = headline(records), records["tradeoff"], records["serving"]
     cases = {(row["garment"], row["fabric"], row["clip"]) for row in trade["rows"]}
     garments, fabrics, clips = ({case[axis] for case in cases} for axis in range(3))
@@ -83,7 +85,7 @@ def three_numbers(records: Records) -> str:
 
 
 def tiers(records: Records) -> str:
-    """What each tier costs and how near to physics it comes."""
+    """Returns a Markdown table with a row for each tier: what it costs, and how near to physics it comes."""
     record, columns = records["tradeoff"], {"time_ratio": ".2f", "cpu_ms": ".1f"}
     lines = []
     for row in record["means"]:
@@ -101,7 +103,9 @@ def tiers(records: Records) -> str:
 
 
 def frame(records: Records) -> str:
-    """Processor time of a frame of the stream by part, in brackets its floor."""
+    """Returns a Markdown table of the processor time [ms] of each part of a stream's frame; its floor stands in
+    brackets.
+    """
     record = records["frame"]
     wholes = [row for row in record["rows"] if row["kind"] == "kernel" and row["stage"] == "frame"]
     cases = [(row["garment"], row["tier"]) for row in wholes]
@@ -123,7 +127,7 @@ def frame(records: Records) -> str:
 
 
 def threads(records: Records) -> str:
-    """Frames a second of two streams and of a clip, on one thread and on two."""
+    """Returns a Markdown table of frames a second, of two streams and of a clip, on one thread and on two."""
     record, lines = records["frame"], []
     rows = [row for row in record["rows"] if row["kind"] == "threads"]
     for garment, what in dict.fromkeys((row["garment"], row["what"]) for row in rows):
@@ -136,7 +140,7 @@ def threads(records: Records) -> str:
 
 
 def one_frame(records: Records) -> str:
-    """What the different figures of one frame of the default tier are."""
+    """Returns a Markdown table of the different figures of one frame of the default tier, and what each of them is."""
     one, serving = headline(records), records["serving"]
     (trade,) = [row for row in records["tradeoff"]["means"] if row["tier"] == DEFAULT_TIER]
     (single,) = [row for row in _streams(serving, DEFAULT_TIER) if row["clients"] == 1]
@@ -152,7 +156,9 @@ def one_frame(records: Records) -> str:
 
 
 def streams(records: Records) -> str:
-    """Streams under load: for each tier one client, the most that are carried, and those between."""
+    """Returns a Markdown table of streams under load, for each tier: one client, the most that are carried, and those
+    between.
+    """
     record = records["serving"]
     lines = []
     for tier in ("instant", "fast", "balanced", "accurate"):
@@ -169,7 +175,7 @@ def streams(records: Records) -> str:
 
 
 def gpu_batches(records: Records) -> str:
-    """Frames of all garments in one call on a GPU."""
+    """Returns a Markdown table of the time that frames of all garments take in one call on a GPU."""
     record = records["latency_gpu"]
     rows = _batches(record)
     lines = [
@@ -181,7 +187,7 @@ def gpu_batches(records: Records) -> str:
 
 
 def views(records: Records) -> str:
-    """What is saved of a frame that a scene asks less of."""
+    """Returns a Markdown table of how much less a frame takes where a scene asks for less."""
     columns: Columns = {
         "garment": ("garment", "s"), "case": ("case", "s"), "what": ("what", "s"), "full_ms": ("in full [ms]", ".1f"),
         "cpu_ms": ("so [ms]", ".2f"), "saving": ("saved", ".0%"),

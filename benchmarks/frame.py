@@ -158,7 +158,9 @@ def _floors(stream: Stream, pose: np.ndarray, time_s: float) -> dict[tuple[str, 
 
 
 def floor_ms(moved: int, operations: int) -> float:
-    """The time [ms] to move so many bytes, or to do so many multiply-adds, on one thread: the longer of the two."""
+    """Returns the time [ms] to move ``moved`` bytes or to do ``operations`` multiply-adds on one thread, whichever is
+    longer.
+    """
     moving_s = moved / copied_per_s(moved, 1) if moved else 0.0
     return 1e3 * max(moving_s, operations / multiply_adds_per_s(1) if operations else 0.0)
 
@@ -206,7 +208,7 @@ def _driven(bench: FrameBench, streams: Sequence[Stream], threads: int) -> tuple
 
 
 def clip_thread_row(bench: FrameBench, garment: str, threads: int) -> Row:
-    """A clip whose network runs on so many ``threads`` of ``bench``."""
+    """Returns the row of a clip whose network runs on ``threads`` threads."""
     plan, count = bench.plan([garment]), bench.frames
     poses = np.stack([bench.pose(frame) for frame in range(count)])
     clip = PoseInput(
@@ -267,7 +269,7 @@ def frame_views(bench: FrameBench) -> Iterator[View]:
 
 
 def view_row(bench: FrameBench, view: View) -> Row:
-    """The scene with less, beside what it takes in full."""
+    """Returns the row of a view: the time of a frame with less, beside that of a frame in full."""
     pairs = ((view.full, view.moving or view.pose), (view.less, view.pose))
     streams = [(bench.stream(bench.plan(view.garments, **options)), pose) for options, pose in pairs]
     for part in bench.parts(view.warm):
@@ -288,7 +290,7 @@ def view_row(bench: FrameBench, view: View) -> Row:
     Option("--frames", 64, "of each stream that count", 24),
 )
 def main(run: Run) -> None:
-    """Rows by kernel, of threads, and of what need not be computed."""
+    """Measures kernels, threads, and frames that need not compute all, and adds their rows to ``run``."""
     options, body, folder = run.options, load_body(), model_folder(run.options.model)
     poses = at_rate(read_motion(find_motions(options.motions or ["walk"])[0]), FPS).poses
 

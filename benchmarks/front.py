@@ -50,7 +50,7 @@ def draw_front(pane: Axes, found: list[tuple[float, float, str]], title: str) ->
 
 
 def main() -> None:
-    """Command line entry."""
+    """Runs the command line: draws the front of the record's tiers and knobs."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -99,7 +99,9 @@ def inputs(
     quick_garments: tuple[str, ...] = AS_ALWAYS,
     quick_motions: tuple[str, ...] = AS_ALWAYS,
 ) -> tuple[Option, ...]:
-    """``--garments``, ``--motions`` and ``--model``; no garments or motions are all the shipped ones."""
+    """Returns the options ``--garments``, ``--motions`` and ``--model``. Without garments or motions all shipped ones
+    are taken.
+    """
     return (
         Option("--garments", garments, "names, files or folders", quick_garments),
         Option("--motions", motions, "names, files or folders", quick_motions),
@@ -223,7 +225,7 @@ def write(target: Path, record: Record) -> None:
 
 
 def finite(value: Any) -> Any:
-    """``value`` with None in place of NaN and infinity, which JSON cannot hold, and floats of six digits."""
+    """Returns ``value`` with None in place of NaN and infinity, which JSON cannot hold, and floats of six digits."""
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -54,7 +54,7 @@ COLUMNS = {
     Option("--streams", (), "numbers of streams beside which each file is sent to a service", kind=int),
 )
 def main(run: Run) -> None:
-    """A row for every file; a shipped garment has no intake."""
+    """Takes every file in and adds a row for each to ``run``; a shipped garment has no intake."""
     body = load_body()
     drapery = DrapeRuntime(Settings(threads=1))
     dress = [open_garment(find_garments(["dress"])[0], body)]
@@ -82,7 +82,9 @@ def take_in(path: Path) -> tuple[Row, list[Garment]]:
 
 
 def upload_beside_streams(path: Path, streams: int) -> Row:
-    """How long a service takes for the file at ``path`` until its garment is worn, beside so many streams."""
+    """Returns a row with the time that a service takes for the file at ``path`` until its garment is worn, while it
+    serves ``streams`` streams.
+    """
     walk = at_rate(read_motion(find_motions(["walk"])[0]), FPS)
 
     async def beside(url: str) -> Row:
@@ -107,7 +109,10 @@ def time_to_wear(url: str, path: Path) -> float:
 
 
 def frame_times(drapery: DrapeRuntime, garments: list[Garment], dress: list[Garment], rounds: int) -> Row:
-    """What a frame of ``garments`` takes, by turns with one of the ``dress``."""
+    """Returns a row with the processor time [ms] of a frame of ``garments``, and its ratio to that of a ``dress``.
+
+    Both are measured by turns, so that the machine's mood counts for neither.
+    """
     poses = at_rate(read_motion(find_motions(["walk"])[0]), FPS).poses
     plans = [plan_of(drapery, worn, messages=True, tier="balanced") for worn in (garments, dress)]
     streams = [Stream(plan, drapery.body.shape_count) for plan in plans]
@@ -128,7 +133,7 @@ def frame_times(drapery: DrapeRuntime, garments: list[Garment], dress: list[Garm
 
 
 def hang_ms(garment: Garment) -> float:
-    """What hanging takes a frame, at rest: the median [ms]."""
+    """Returns the median time [ms] in which a drawn mesh is hung on the cloth of ``garment``, for one frame."""
     cloth = garment.vertices[: garment.vertex_count]
     clock = Clock()
     for _ in range(50):

@@ -12,7 +12,9 @@ SETS = {"trained": "garments that were trained on", "unseen": "others"}
 
 
 def quality(records: Records) -> str:
-    """Gain and strain over physics of the network alone and with folds, for garments trained on and others."""
+    """Returns a Markdown table of gain, and of strain over that of physics, of the network alone and with folds, for
+    garments that were trained on and for others.
+    """
     record = records["quality"]
     counts = {kind: len({row["garment"] for row in record["rows"] if row["set"] == kind}) for kind in SETS}
     lines = []
@@ -27,7 +29,9 @@ def quality(records: Records) -> str:
 
 
 def two_steps(records: Records) -> str:
-    """Gain and time of two steps of folds on all vertices, over the cases of each garment."""
+    """Returns a Markdown table of the gain and the time of two steps of folds on all vertices, with a row for each
+    garment.
+    """
     record, lines = records["folds"], []
     rows = [row for row in record["rows"] if row["sweeps"] == 2 and row["method"] != "skinning"]
     for garment, feels in dict.fromkeys((row["garment"], row["cloth_contact"]) for row in rows):
@@ -40,7 +44,7 @@ def two_steps(records: Records) -> str:
 
 
 def moving(records: Records) -> str:
-    """How streams of each tier look beside the stills of their poses."""
+    """Returns a Markdown table of how streams of each tier look beside the stills of their poses."""
     record = records["moving"]
     columns = ("curvature", "dihedral", "crossings_worst", "strain_pct")
     by_tier: dict[str, list[str]] = {}
@@ -60,7 +64,7 @@ def moving(records: Records) -> str:
 
 
 def coarse_skin(records: Records) -> str:
-    """The skin that shows on coarse meshes of other makers, by how they were folded."""
+    """Returns a Markdown table of how much skin shows on coarse meshes of other makers, by how they were folded."""
     record, lines = records["skin_pixels"], []
     coarse = {row["garment"] for row in record["rows"] if row["method"] == "wrapped"}
     ways = {
@@ -79,7 +83,7 @@ def coarse_skin(records: Records) -> str:
 
 
 def hem_rise(records: Records) -> str:
-    """How far hems rise in a turn, with swing and in a simulator."""
+    """Returns a Markdown table of how far hems rise in a turn, with swing and in a simulator."""
     record = records["swing"]
     columns: Columns = {
         "garment": ("garment", "s"), "clip": ("clip", "s"), "method": ("method", "s"),

@@ -145,8 +145,12 @@ def limb_loops(garment: Garment, joints: np.ndarray) -> dict[str, list[LimbLoop 
 
 
 def limb_openings(points: np.ndarray, faces: np.ndarray, joints: np.ndarray) -> list[tuple[str, LimbLoop | None]]:
-    """The openings of a mesh [m] (V, 3), (F, 3) by the limb that goes through them; "none", and no loop, for one of a
-    limb's size that no part of a body with ``joints`` [m] (24, 3) goes through."""
+    """Returns the openings of a mesh, ``points`` [m] (V, 3) and ``faces`` (F, 3), each with the limb that goes through
+    it.
+
+    ``joints`` [m] (24, 3) are those of the body. An opening of a limb's size that no part of the body goes through is
+    listed as "none", without a loop.
+    """
     chains, found = bone_chains(joints), []
     for one in open_contours(points, faces):
         part = part_round(one, chains)
@@ -178,7 +182,7 @@ def share_inside(vertices: np.ndarray, joints: np.ndarray, held: dict[str, list[
     Option("--tier", "balanced", "that drapes"),
 )
 def main(run: Run) -> None:
-    """A row for every garment of every file and clip."""
+    """Adds a row to ``run`` for every garment of every file in every clip."""
     drape = load()
     for path in find_garments(run.options.garments):
         try:

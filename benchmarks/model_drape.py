@@ -58,29 +58,32 @@ class ModelDrape:
 
     @classmethod
     def asked(cls, options: argparse.Namespace, body: BodyModel, *, passes: int | None = None) -> ModelDrape:
-        """The network of ``--model`` in ``--threads``."""
+        """Returns the network of the model that the options ``--model`` and ``--threads`` ask for, on ``body``."""
         return cls(model_folder(options.model), body, threads=options.threads, passes=passes)
 
     def made_of(self, fabric: Fabric | None) -> ModelDrape:
-        """The same network with garments of ``fabric``, where it knows fabrics; None: of its default."""
+        """Returns the same network for garments of ``fabric``, if it knows fabrics; None means its default fabric."""
         other = copy.copy(self)
         other._fabric = fabric if self.engine.knows_fabrics else None
         return other
 
     @property
     def passes(self) -> int:
-        """How many corrections run; 0 also where the model leaves no choice."""
+        """The number of corrections that run; 0 if the model does not offer a choice of it."""
         return self.engine.pass_count if self._plan.passes is None else self._plan.passes
 
     def record(self) -> dict[str, str]:
-        """What computes which model, the model by its digest, for a benchmark's record."""
+        """Returns what a benchmark's record says of the network: what computes it, and the name and the digest of the
+        model.
+        """
         graph = "packed" if self.engine.compiled is None else "compiled"
         return {"graph": graph, "model_digest": self.manifest.digest}
 
     def drape(self, garment: Garment, poses: np.ndarray) -> NetworkDrape:
-        """The garment's subdivided mesh and its patches at ``poses`` (F, 24, 3) [rad], at rest, the root in its place.
+        """Returns the drape of the subdivided mesh of ``garment`` and of its patches at ``poses`` (F, 24, 3) [rad].
 
-        Refuses (``ArtifactError``) numbers that are not finite.
+        The body stands still in each pose, its root in its rest place. Refuses (``ArtifactError``) numbers that are not
+        finite.
         """
         results = []
         with self._stored(garment) as key:

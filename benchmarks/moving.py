@@ -88,12 +88,14 @@ class ClipSkin:
 
     @cached_property
     def third(self) -> float:
-        """The RMS third difference [m] in time."""
+        """Returns the RMS, over vertices and frames, of the third difference [m] of the skin's vertices in time."""
         return float(np.sqrt(third_difference_square(self.vertices)))
 
 
 def streamed(drapery: DrapeRuntime, garments: list[Garment], clip: CaseClip, tier: str) -> tuple[np.ndarray, Row]:
-    """The vertices [m] (F, V, 3) in the world, of one garment after the other, and what the stream tells."""
+    """Returns the vertices [m] (F, V, 3) of a stream of ``clip`` in the world, those of one garment after the other,
+    and two figures of the stream: how often folds began anew, and the median processor time of a frame [ms].
+    """
     stream, frames, resets = (
         Stream(plan_of(drapery, garments, resolution="fine", tier=tier), clip.body.shape_count),
         [],
@@ -109,7 +111,9 @@ def streamed(drapery: DrapeRuntime, garments: list[Garment], clip: CaseClip, tie
 def moving_row(
     looks: ClothLooks, vertices: np.ndarray, skin: ClipSkin, stills: dict[int, Row], exact: Mapping[int, Row | None]
 ) -> Row:
-    """The measures of a garment at ``vertices`` [m] (F, V, 3), beside ``stills`` and ``exact`` drapes by frame."""
+    """Returns the row of a garment that moves through ``vertices`` [m] (F, V, 3): its looks relative to ``stills`` and
+    ``exact`` drapes (rows by frame), crossings, depth in the ``skin``, strain and jitter.
+    """
     shares, angles = [], []
     for frame, still in stills.items():
         near = [still_figures(looks, vertices[max(0, frame - before)]) for before in BEFORE]
@@ -164,13 +168,18 @@ def scene_rows(
 
 @dataclass
 class Sheet:
-    """The worst frames so far: for each garment and tier that before a still with the most curvature over its own."""
+    """The pictures of the worst frames so far, one for each garment and tier.
+
+    The worst frame is the one with the most curvature relative to that of its still.
+    """
 
     pictures: dict[tuple[str, str], Picture] = field(default_factory=dict)
     worst: dict[tuple[str, str], float] = field(default_factory=dict)
 
     def seen(self, row: Row, vertices: np.ndarray, faces: np.ndarray) -> None:
-        """Keeps ``vertices`` [m] (V, 3) if ``row`` is worse than those of its garment and tier before."""
+        """Keeps ``vertices`` [m] (V, 3) and ``faces`` (F, 3) if the curvature in ``row`` is the largest so far of its
+        garment and tier.
+        """
         key = row["garment"], row["tier"]
         if row["curvature"] > self.worst.get(key, 0.0):
             self.worst[key] = row["curvature"]
@@ -178,7 +187,10 @@ class Sheet:
 
 
 def summary(rows: Sequence[Row], tiers: Sequence[str], clips: str = "") -> list[Row]:
-    """The means and the worst of all ``rows`` of each tier, which are of so called ``clips``."""
+    """Returns two rows for each of ``tiers``: the means, and the worst values, of all ``rows`` of that tier.
+
+    ``clips`` is the name of their set of clips.
+    """
     found = []
     for tier in tiers:
         own = [row for row in rows if row["tier"] == tier]
@@ -202,7 +214,7 @@ def summary(rows: Sequence[Row], tiers: Sequence[str], clips: str = "") -> list[
     Option("--sheet", "", "a PNG of the worst frames"),
 )
 def main(run: Run) -> None:
-    """Rows of every garment over every clip in every tier, the worst first, and means."""
+    """Adds to ``run`` a row for every garment, clip and tier, the worst first, and the means."""
     options, body = run.options, load_body()
     drapery, sheet = DrapeRuntime(Settings(threads=1, model=options.model)), Sheet()
     captured = lively_clips(options.captured, options.captured_frames, body)

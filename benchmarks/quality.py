@@ -86,7 +86,7 @@ class Bench:
     uncorrected: ModelDrape | None = None
 
     def of_fabric(self, fabric: Fabric) -> Bench:
-        """The same bench with all garments of ``fabric``."""
+        """Returns the same bench with all garments of ``fabric``."""
         uncorrected = None if self.uncorrected is None else self.uncorrected.made_of(fabric)
         made = self.network.made_of(fabric)
         return replace(self, fabric=fabric, material=Material.of(fabric), network=made, uncorrected=uncorrected)
@@ -109,9 +109,9 @@ def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
 
 
 def in_fabrics(bench: Bench, options: argparse.Namespace) -> list[Bench]:
-    """``bench`` in each of ``--fabrics``, or in what the network drapes by default.
+    """Returns ``bench`` in each of ``--fabrics``, or in the fabric that the network drapes by default.
 
-    Refuses (``NotFound``) what is no fabric, and (``InputError``) fabrics beside ``--material``.
+    Refuses (``NotFound``) the name of an unknown fabric, and (``InputError``) fabrics beside ``--material``.
     """
     names = options.fabrics
     if names and options.material is not None:
@@ -128,7 +128,7 @@ def in_fabrics(bench: Bench, options: argparse.Namespace) -> list[Bench]:
 
 
 def covered(garment: Garment, body: BodyModel, share: float) -> Garment:
-    """``garment`` covered anew, as intake does it, by ``share`` of the usual number of patches."""
+    """Returns ``garment`` covered anew, as intake does it, by ``share`` of the usual number of patches."""
     rest = rest_garment(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), body)
     return replace(garment, **patch_fields(rest, share=share, unfold=True))
 
@@ -177,7 +177,9 @@ def drapes(garment: Garment, bench: Bench, judge: Judged, draped: np.ndarray) ->
 
 
 def chart_figures(garment: Garment, draped: NetworkDrape) -> dict[str, float]:
-    """How much overlapping charts disagree before blending: 99th percentiles over all entries and vertices."""
+    """Returns how much overlapping charts disagree before blending, as 99th percentiles: the gap [mm] over all chart
+    entries, and the angle of normals [deg] over all vertices.
+    """
     found = disagreement(garment, draped.jet, draped.rotation, draped.centre)
     return {
         "chart_gap_p99_mm": 1e3 * float(np.percentile(found.gap_m, 99.0)),
@@ -239,7 +241,7 @@ def _in_fabric(garment: str, fabric_name: str | None) -> str:
     Option("--no-physics-cache", False, "minimise again instead of taking stored drapes, store none"),
 )
 def main(run: Run) -> None:
-    """Rows of every garment in every fabric, and their means."""
+    """Adds to ``run`` the rows of every garment in every fabric, and their means."""
     options, body = run.options, load_body()
     bench = open_bench(options, body)
     benches = in_fabrics(bench, options)

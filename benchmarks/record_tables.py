@@ -48,14 +48,14 @@ def _by_method(rows: Iterable[Row]) -> dict[tuple[str, str, str], dict[str, Row]
 
 
 def quality_table(record: Record) -> str:
-    """A table of the record of ``quality``: a row for every garment and method."""
+    """Returns a Markdown table of the record of ``quality``, with a row for every garment and method."""
     rows = record["rows"]
     first = {"garment": QUALITY["garment"]} | _measured(rows, FABRIC)
     return rows_table(first | QUALITY | _measured(rows, DETAIL), rows, record)
 
 
 def network_table(record: Record) -> str:
-    """The network beside its bounds: one line per garment, and their means; the figures that have targets."""
+    """Returns a Markdown table of the network beside its bounds: a line for each garment, and the means."""
     every = [*record["rows"], *record["summary"]]
     own = _measured(every, FABRIC) | NETWORK | _measured(every, SHARE)
     lines = []
@@ -68,7 +68,9 @@ def network_table(record: Record) -> str:
 
 
 def fabrics_table(record: Record) -> str:
-    """One line per garment and fabric: the gain of the network, its strain and hang beside those of physics."""
+    """Returns a Markdown table with a line for each garment and fabric: the gain of the network, and its strain and
+    hang beside those of physics.
+    """
     lines = []
     for names, rows in _by_method(record["rows"]).items():
         network, physics = (cells(rows[method], BESIDE) for method in ("network", "physics"))
@@ -80,7 +82,9 @@ def fabrics_table(record: Record) -> str:
 
 
 def four_table(record: Record) -> str:
-    """One line per fabric and set of all garments: gains of the network alone and of folds on it."""
+    """Returns a Markdown table with a line for each fabric and set of garments: the gain of the network alone, and of
+    folds on it.
+    """
     left, lines = {"edge_over_physics_pp": ".2f", "detail_share": ".2f"}, []
     for (_, kind, fabric), rows in _by_method(record["summary"]).items():
         gains = [value for method in ("network", "network_push", "folds") for value in cells(rows[method], GAIN)]
@@ -115,7 +119,9 @@ SWING = {
 
 
 def trade_table(record: Record) -> str:
-    """One line per choice of knobs on the front, and the ends of the axis, the cheapest first."""
+    """Returns a Markdown table with a line for each choice of knobs on the front and for the ends of the axis, the
+    cheapest first.
+    """
     kept = [row for row in record["means"] if row["pareto"] or row["tier"]]
     ordered = sorted(kept, key=lambda row: row["time_ratio"])
     return rows_table(TRADE, ({**row, "tier": row["tier"].replace("_", " ")} for row in ordered), record)
@@ -159,7 +165,7 @@ INTAKES = {
 
 
 def single_table(record: Record) -> str:
-    """One frame of one garment: ours, the rivals, the floor."""
+    """Returns a Markdown table of one frame of one garment: ours, the rivals, the floor."""
     lines = []
     for row in record["rows"]:
         if row["batch"] != 1 or row["garment"] == "mixed" or "," in row["garment"] or "store" in row["garment"]:
@@ -170,12 +176,16 @@ def single_table(record: Record) -> str:
 
 
 def views_table(record: Record) -> str:
-    """What is saved of a frame, and where all of the record was measured."""
+    """Returns a Markdown table of how much less a frame takes where a scene asks for less, and where the record was
+    measured.
+    """
     return rows_table(VIEWS, [row for row in record["rows"] if row["kind"] == "view"], record)
 
 
 def serving_table(record: Record) -> str:
-    """Streams under load: one line per case, and how many clients each server carries."""
+    """Returns a Markdown table of streams under load, with a line for each case, and how many clients each server
+    carries.
+    """
     carried = ", ".join(f"{name} {count}" for name, count in record["max_clients"].items())
     alone = ", ".join(f"{tier} {ms:.1f} ms" for tier, ms in record["model_ms"].items())
     rows = rows_table(SERVING, record["rows"])
@@ -201,7 +211,7 @@ PAGE = {
 
 
 def alike(columns: Columns, record: Record, *, sourced: bool = True) -> str:
-    """A line for each row of ``record``, and where it was measured."""
+    """Returns a Markdown table with a line for each row of ``record``, and where it was measured."""
     return rows_table(columns, record["rows"], record if sourced else None)
 
 

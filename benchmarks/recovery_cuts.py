@@ -107,10 +107,10 @@ def as_user(target: Path, out: Path, *words: str) -> RecoveryJob:
 
 
 def recover_job(job: RecoveryJob, told: Callable[[Cut | None, int], str], pictures: Path | None) -> Row:
-    """The figures of ``job``; a target that is refused has the sentence in place of them.
+    """Returns the row of ``job``: its figures, or the sentence of the refusal.
 
-    ``told`` says of the cut, None for a refusal, and the number of panels whether they are right. The folder
-    ``pictures`` gets the report and a picture under the target's name.
+    ``told`` takes the cut, None for a refusal, and the number of panels, and returns the words on whether they are
+    right. The folder ``pictures`` gets the report and a picture under the target's name.
     """
     began, refusal, outcome = time.process_time(), "", None
     try:
@@ -142,9 +142,11 @@ def recover_job(job: RecoveryJob, told: Callable[[Cut | None, int], str], pictur
 
 
 def told_words(truth: str, cut: Cut | None, *, panels: bool = False) -> str:
-    """Whether the base is ``truth``, and the ``panels`` are right too or a sentence says that they may not be.
+    """Returns the cell of a table that says whether ``cut`` is right: "yes"; "base" if only the base is, with a hint
+    where its seams cannot be seen; or "no" and the ``truth``.
 
-    A ``cut`` of None is a refusal, which ``REFUSED`` as the truth asks for.
+    ``panels`` says whether the number of panels is right. ``cut`` is None for a target that was refused, which is right
+    where ``truth`` is ``REFUSED``.
     """
     if (REFUSED if cut is None else cut.base) != truth:
         return f"no, {truth}"

@@ -61,7 +61,7 @@ def _head(document: str) -> str:
 
 
 def main() -> None:
-    """Command line entry."""
+    """Runs the command line: writes the pages of records, and the figures on other pages."""
     FOLDER.mkdir(exist_ok=True)
     texts = pages()
     for path in FOLDER.glob("*.md"):

@@ -106,7 +106,7 @@ class Spent:
 
 @contextlib.contextmanager
 def server(module: str = "service", **settings: object) -> Iterator[Server]:
-    """``python -m module`` on a free loopback port, with ``settings`` and no garments of anybody's."""
+    """``python -m module`` on a free loopback port, with ``settings`` and an empty folder of uploads."""
     with tempfile.TemporaryDirectory() as folder:
         named = {f"DRAPE_{name.upper()}": str(value) for name, value in settings.items()}
         environment = os.environ | {"DRAPE_GARMENTS_DIR": folder} | named
@@ -292,7 +292,7 @@ class ServingBench:
         return max((row["clients"] for row in rows if row["goodput_pct"] >= CARRIED_PCT), default=0)
 
     def standing(self) -> ServingBench:
-        """The same with a body that does not move, in the middle of the clip."""
+        """Returns the same bench with a body that stands still in a pose from the middle of the clip."""
         poses = self.clip.poses[len(self.clip.poses) // 2][None]
         return replace(self, clip=MotionClip(poses, np.zeros((1, 3)), FPS, "still"), warm_s=1.5 * REST_S)
 

@@ -123,7 +123,7 @@ def soak_rows(*, count: int, until_s: float, seed: int) -> tuple[int, str | None
     Option("--garment", GARMENT, "what is draped"),
 )
 def main(run: Run) -> None:
-    """One row: what was done, and the first failure, with which the run fails."""
+    """Adds one row to ``run``: what was done, and the first failure. The run fails with that."""
     options = run.options
     with tempfile.TemporaryDirectory(prefix="soak-") as folder:
         shipped = Path(folder) / "shipped"

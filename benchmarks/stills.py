@@ -57,13 +57,13 @@ def stills_of(garment: Garment) -> ClothLooks:
 
 
 def input_of(clip: CaseClip, frame: int) -> PoseInput:
-    """A frame of ``clip`` on the body of mean shape."""
+    """Returns the pose of one ``frame`` of ``clip`` as the input of a drape, on the body of mean shape."""
     rows, shape = slice(frame, frame + 1), np.zeros(clip.body.shape_count)
     return PoseInput(clip.poses[rows], clip.trans[rows], shape, np.array([frame / clip.fps]))
 
 
 def still_figures(looks: ClothLooks, vertices: np.ndarray) -> Row:
-    """The measures of cloth at ``vertices`` [m] (V, 3)."""
+    """Returns curvature, dihedral angle, area, hem and relief of cloth at ``vertices`` [m] (V, 3), by name."""
     one = vertices[None]
     relief = dict(zip((f"{band}_mm" for band in BANDS), looks.relief_mm(one)[0].tolist(), strict=True))
     told = {
@@ -97,7 +97,10 @@ class Stills:
         return [self.rows[key] for key in keys]
 
     def exact_of(self, garment: Garment, clip: CaseClip, frame: int, *, made: bool = False) -> Row | None:
-        """The row of the exact drape of ``garment`` alone; of one that there is not: none, or else it is ``made``."""
+        """Returns the row of the exact drape of ``garment``, worn alone, in the pose of a ``frame`` of ``clip``.
+
+        Where the record has none it is computed if ``made`` is true; otherwise None is returned.
+        """
         key = garment.name, worn_digest([garment], garment), clip.name, frame, EXACT
         if key not in self.rows and made:
             start, body, fine = input_of(clip, frame), clip.body, fine_garment(garment)
@@ -116,7 +119,7 @@ class Stills:
 
 
 def worn_digest(garments: list[Garment], one: Garment) -> str:
-    """What tells ``one`` as it is worn with ``garments`` from others of its name."""
+    """Returns a digest that tells ``one``, as it is worn with ``garments``, from other garments of its name."""
     return "+".join(garment.digest[:8] for garment in ([one, *garments] if len(garments) > 1 else garments))
 
 
@@ -136,7 +139,7 @@ def outfits(names: list[str]) -> Iterator[list[Garment]]:
     Option("--exact", False, "makes the exact drape of each garment that is worn alone"),
 )
 def main(run: Run) -> None:
-    """Rows of every garment in two poses of every clip, and those of the record."""
+    """Adds to ``run`` the rows of every garment in two poses of every clip, and those of the record."""
     options, body = run.options, load_body()
     stills = Stills(DrapeRuntime(Settings(threads=1, model=options.model)), anew=options.anew)
     clips = read_case_clips(options, body, FPS)

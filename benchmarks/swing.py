@@ -55,19 +55,19 @@ def turn_yaw(time_s: np.ndarray, turns_per_s: float) -> np.ndarray:
 
 
 def stop_way(time_s: np.ndarray) -> np.ndarray:
-    """The way [m] (F, 3) of a body that goes forward with 1.4 m/s and stops in 0.2 s."""
+    """The root's displacement [m] (F, 3) of a body that goes forward with 1.4 m/s and stops in 0.2 s."""
     rate = np.interp(time_s, [0.5, 1.0, 1.6, 1.8], [0.0, 1.4, 1.4, 0.0])
     return _summed(rate, time_s)[:, None] * np.array([0.0, 0.0, 1.0])
 
 
 def step_way(time_s: np.ndarray) -> np.ndarray:
-    """The way [m] (F, 3) of a body that steps up and forward by 0.3 m in 0.4 s."""
+    """The root's displacement [m] (F, 3) of a body that steps up and forward by 0.3 m in 0.4 s."""
     done = np.clip((time_s - 0.5) / 0.4, 0.0, 1.0)
     return (0.3 * done**2 * (3.0 - 2.0 * done))[:, None] * np.array([0.0, 1.0, 1.0])
 
 
 def fall_way(time_s: np.ndarray) -> np.ndarray:
-    """The way [m] (F, 3) of a body that falls by ``FALL_M`` freely and lands in ``LANDING_S``."""
+    """The root's displacement [m] (F, 3) of a body that falls by ``FALL_M`` freely and lands in ``LANDING_S``."""
     free_s = np.sqrt(2.0 * FALL_M / GRAVITY_M_S2)
     rate = np.interp(time_s, 0.5 + np.array([0.0, free_s, free_s + LANDING_S]), [0.0, -GRAVITY_M_S2 * free_s, 0.0])
     return _summed(rate, time_s)[:, None] * np.array([0.0, 1.0, 0.0])
@@ -103,7 +103,9 @@ COLUMNS = {
 
 
 def swung(scene: CaseScene, static: np.ndarray, *, folds: int) -> tuple[np.ndarray, float]:
-    """``static`` [m] (F, V, 3) with swing, and ``folds`` steps on that; the median processor time [ms] of the swing."""
+    """Returns ``static`` [m] (F, V, 3) with swing and with ``folds`` steps of folds on that, and the median processor
+    time [ms] of the swing.
+    """
     clip, memory, folded, clock, found = scene.clip, None, None, Clock(), []
     swinging = swing_constants(scene.garment, scene.body, scene.fabric)
     for i, vertices in enumerate(static):
@@ -141,7 +143,12 @@ def hem_parts(x: np.ndarray, scene: CaseScene) -> np.ndarray:
 
 
 def hem_figures(x: np.ndarray, scene: CaseScene, static: np.ndarray, simulator: np.ndarray | None) -> Row:
-    """The measures of ``x`` [m] (F, V, 3)."""
+    """Returns the figures of the hem in a swinging drape ``x`` [m] (F, V, 3) of ``scene``, against the drape without
+    swing, ``static`` (F, V, 3).
+
+    They are its rise [mm], its mean distance from the static hem [mm] and the jitter; how it comes to rest, where the
+    body stops; and the mean distance [mm] from the hem of ``simulator`` (F, V, 3), where that is given.
+    """
     still, own = (hem_parts(one.astype(np.float64), scene) for one in (static, x))
     moved, base = (one.astype(np.float64) + scene.clip.trans[:, None] for one in (x, static))
     height = own[..., 1].mean(axis=1)
@@ -189,7 +196,7 @@ def measure_scene(scene: CaseScene, network: ModelDrape, *, simulator: bool) -> 
 
 
 def of_other_scenes(rows: list[Row]) -> list[Row]:
-    """The rows of the record whose scenes have none in ``rows``."""
+    """Returns the rows of the record ``swing.json`` whose scene is that of none of ``rows``."""
     path = RESULTS_DIR / "swing.json"
     kept = json.loads(path.read_text())["rows"] if path.is_file() else []
     own = {tuple(row[name] for name in SCENE) for row in rows}
@@ -207,7 +214,7 @@ def of_other_scenes(rows: list[Row]) -> list[Row]:
     Option("--no-simulator", False, "without the simulator, which takes minutes", True),
 )
 def main(run: Run) -> None:
-    """Rows of every garment in every fabric over every clip."""
+    """Adds to ``run`` the rows of every garment in every fabric over every clip."""
     options, body = run.options, load_body()
     network = ModelDrape.asked(options, body, passes=0)
     others = [name for name in options.motions if name not in MADE]

@@ -30,7 +30,7 @@ def cells(row: Row, columns: Columns, *, missing: str = "-") -> list[str]:
 
 
 def text_table(rows: Sequence[Row], columns: Columns) -> str:
-    """``rows`` under aligned heads; unknown values are blank, and a column that no row has is left out."""
+    """Returns ``rows`` as text under aligned heads. Unknown values are blank; a column that no row has is left out."""
     kept = {key: form for key, form in columns.items() if any(key in row for row in rows)}
     lines = [heads(kept), *(cells(row, kept, missing="") for row in rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]

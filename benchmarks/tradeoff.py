@@ -73,7 +73,10 @@ class Knobs:
     coarse: bool
 
     def options(self, pass_count: int, **others: Any) -> DrapeOptions:
-        """As a request says it, of cloth that does not swing; ``pass_count`` are all passes."""
+        """Returns the options of a request with these knobs, for cloth that does not swing.
+
+        ``pass_count`` is the number of passes that the model has, and ``others`` are further options.
+        """
         passes = pass_count if self.passes is None else self.passes
         if not self.folds:
             return DrapeOptions(tier="instant", motion=0.0, advanced=Advanced(passes=passes), **others)
@@ -95,12 +98,16 @@ class Case:
 
     @classmethod
     def of(cls, scene: CaseScene, networks: dict[str, ModelDrape], *, keeps_apart: bool = True) -> Case:
-        """``scene`` with its physics, which starts from the last of ``networks``, of cloth that ``keeps_apart``."""
+        """Returns ``scene`` with its physics, whose search starts from the last of ``networks``; ``keeps_apart``: of
+        cloth that does not pass through itself.
+        """
         starts = scene.starts(networks)
         return cls(scene, starts["skinning"], physics_bound.bound(scene, starts, keeps_apart=keeps_apart))
 
     def row(self, vertices: np.ndarray, start: np.ndarray) -> Row:
-        """The measures of the clip's ``vertices`` [m] (F, V, 3); jitter is against ``start``."""
+        """Returns the row of the clip's ``vertices`` [m] (F, V, 3), with jitter relative to ``start`` (F, V, 3)
+        (``physics_bound``).
+        """
         judge, measured = self.least.judge, self.scene.clip.measured[self.least.few]
         found, seen = physics_bound.figures(judge, vertices, start, measured), vertices[measured].astype(np.float64)
         looks = stills_of(self.scene.garment)
@@ -153,7 +160,11 @@ def measure_knobs(case: Case, drapery: DrapeRuntime, knobs: Sequence[Knobs]) -> 
 
 
 def times(clock: Clock) -> dict[str, float]:
-    """The times of all frames but the first, which has no past."""
+    """Returns the median and the 95th percentile of the wall time [ms] of a frame and the median of its processor time
+    [ms].
+
+    The first frame, which has no past, does not count.
+    """
     wall, cpu = clock.wall_ms[1:], clock.cpu_ms[1:]
     return {
         "p50_ms": float(np.median(wall)),
@@ -270,7 +281,7 @@ def combinations(steps: Sequence[int]) -> list[Knobs]:
     Option("--write", False, "put the tiers into the model's manifest"),
 )
 def main(run: Run) -> None:
-    """Rows of every scene, their means, and the tiers."""
+    """Adds to ``run`` the rows of every scene, their means, and the tiers."""
     options, body = run.options, load_body()
     folder = model_folder(options.model)
     drapery = DrapeRuntime(Settings(model=str(folder), threads=options.threads), body=body)

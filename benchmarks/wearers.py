@@ -59,7 +59,7 @@ class WornCase:
     sleeved: bool
 
     def in_metres(self, points: np.ndarray) -> np.ndarray:
-        """``points`` (N, 3) of the file in the frame of ``skin``."""
+        """Returns ``points`` (N, 3) of the file in the frame of ``skin``."""
         return self.reading.apply(points) - self.shift
 
 
@@ -77,7 +77,9 @@ def draw_bodies(body: BodyModel) -> np.ndarray:
 def carry_garment(
     garment: Garment, body: BodyModel, betas: np.ndarray, pose: str, draw: np.random.Generator
 ) -> WornCase:
-    """``garment`` on the body of shape ``betas`` in ``pose``, in a file of a unit, axis and origin that are drawn."""
+    """Returns ``garment`` on the body of shape ``betas`` in ``pose``, in a file of a unit, axis and origin that are
+    drawn.
+    """
     parameters = known_parameters(body, "standard", *POSES[pose])
     parameters[: body.shape_count] = betas
     angles = unpack_parameters(body, parameters)[1]
@@ -99,7 +101,7 @@ def carry_garment(
 
 
 def judge_case(case: WornCase, body: BodyModel) -> dict[str, object]:
-    """What is found of ``case``, beside the truth."""
+    """Returns the row of ``case``: the wearer that is found, beside the truth."""
     begun_s = time.process_time()
     row: dict[str, object] = {"pose": case.pose, "unit": case.reading.unit, "up": case.reading.up}
     try:
@@ -130,7 +132,7 @@ def judge_case(case: WornCase, body: BodyModel) -> dict[str, object]:
     Option("--garments", (), "of the catalogue (all)", kind=str),
 )
 def main(run: Run) -> None:
-    """A row for every case; the shares that are right, and the means."""
+    """Adds to ``run`` a row for every case, the shares that are right, and the means."""
     body, draw = load_body(), np.random.default_rng(7)
     shapes = draw_bodies(body)
     garments = [open_garment(name, body) for name in find_garments(run.options.garments)]

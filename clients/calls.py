@@ -245,12 +245,14 @@ def _finite(key: str, array: np.ndarray) -> np.ndarray:
 
 
 def place_clip(clip: MotionClip, document: Mapping[str, Any]) -> MotionClip:
-    """``clip``, a file's or a sample's, with the soles of the body in ``document`` on the ground."""
+    """Returns ``clip`` placed for the body in ``document``, so that its soles stand on the ground
+    (``place_on_ground``).
+    """
     return place_on_ground(clip, np.array(document["joints"]), floor=document["floor_m"])
 
 
 def read_bytes(response: httpx.Response) -> bytes:
-    """The answer as it is."""
+    """Returns the bytes of the answer as they came."""
     return response.content
 
 
@@ -261,7 +263,9 @@ def read_vertices(response: httpx.Response) -> np.ndarray:
 
 
 def read_clip_layers(response: httpx.Response) -> list[np.ndarray]:
-    """The vertices of each garment; a single garment has no header that counts them."""
+    """Returns the vertices [m] (F, V, 3) of each garment in the answer; a single garment has no header that counts
+    them.
+    """
     vertices = read_vertices(response)
     counts = [int(part.rpartition(":")[2]) for part in response.headers.get("X-Drape-Garments", "").split(",") if part]
     return np.split(vertices, np.cumsum(counts, dtype=int)[:-1], axis=1)

@@ -31,7 +31,9 @@ def is_local(url: str) -> bool:
 def open_client(
     kind: type[Kind], url: str, key: str | None, transport: httpx.BaseTransport | httpx.AsyncBaseTransport | None
 ) -> Kind:
-    """A client for the service at ``url``; refuses (``InputError``) an address that is none, and a proxy's."""
+    """Returns a client for the service at ``url``. Refuses (``InputError``) text that is not an address, as ``url`` or
+    as the environment's proxy.
+    """
     try:
         base = httpx.URL(url)
     except httpx.InvalidURL as error:

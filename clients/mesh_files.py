@@ -29,7 +29,7 @@ def surface_of(document: Mapping[str, Any]) -> MeshSurface:
 
 
 def layers(meshes: Sequence[Surface], vertices: np.ndarray) -> list[np.ndarray]:
-    """``vertices`` (F, V, 3) by garment."""
+    """Returns ``vertices`` (F, V, 3) as one array for each garment."""
     return np.split(vertices, np.cumsum([mesh.vertex_count for mesh in meshes])[:-1], axis=1)
 
 

@@ -233,7 +233,9 @@ class Methods:
         betas: np.ndarray | None = None,
         **options: Any,
     ) -> Steps[list[np.ndarray]]:
-        """Drapes several garments worn over each other, the innermost first, and returns the vertices of each."""
+        """Drapes several garments worn over each other, the innermost first, and returns the vertices (F, V, 3) [m] of
+        each.
+        """
         return self._whole(drape_call(calls.read_clip_layers, list(garments), motion, BodyShape(trans, betas), options))
 
     def drape_frames(

@@ -28,7 +28,10 @@ def refusal(response: httpx.Response) -> DrapeError:
 
 
 def problem_error(document: Mapping[str, Any]) -> DrapeError:
-    """The error with the fields of ``document``, of the class it names where that is one of ``drape.errors``."""
+    """Returns the error that a problem document of the service stands for.
+
+    Its class is that of ``drape.errors`` which ``document`` names, or ``ServiceError`` where there is no such class.
+    """
     name = str(document.get("kind") or document["type"]).rpartition(":")[2]
     known = getattr(errors, name, None)
     kind = known if isinstance(known, type) and issubclass(known, DrapeError) else ServiceError

@@ -116,7 +116,7 @@ class Manifest:
 
     @property
     def digest(self) -> str:
-        """One hash for the whole model: the key of everything computed with it."""
+        """One hash for the whole model, hexadecimal: the key of everything computed with it."""
         joined = "".join(f"{key}{self.graphs[key].sha256}" for key in sorted(self.graphs))
         if self.weights is not None:  # two trainings of one network differ here alone
             joined += f"weights{self.weights.sha256}"
@@ -158,7 +158,9 @@ def _refused(name: str, expected: str, got: object) -> ArtifactError:
 
 
 def read_parameters(folder: Path, weights: WeightsSpec) -> dict[str, np.ndarray]:
-    """Parameters of the network in the model ``folder``, whose manifest says ``weights``, by name."""
+    """Returns the parameters of the network in the model ``folder`` by name, float32; ``weights`` is the manifest's
+    entry.
+    """
     content = (folder / weights.file).read_bytes()
 
     def read(place: ParameterSpec) -> np.ndarray:

@@ -51,7 +51,11 @@ def swatch() -> tuple[FoldConstants, np.ndarray]:
 
 
 def folded(constants: FoldConstants, vertices: np.ndarray, frames: int, seconds: float) -> tuple[np.ndarray, int]:
-    """The cloth after so many ``frames``, or after ``seconds`` if these are over before, and how many there were."""
+    """Returns the vertices [m] (V, 3) of the cloth after at most ``frames`` frames of folds, and how many were
+    computed.
+
+    No frame is begun after ``seconds``.
+    """
     skin = np.tile([10.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0], (1, 1))
     memory: FoldMemory | None = None
     out, count, end_s = vertices, 0, time.monotonic() + seconds
@@ -63,7 +67,9 @@ def folded(constants: FoldConstants, vertices: np.ndarray, frames: int, seconds:
 
 
 def packages() -> dict[str, str]:
-    """What each part of the product needs first, and its version here; "-" where it is not installed."""
+    """Returns for each part of the product the name and the version of the package that it rests on, or "-" where that
+    is not installed.
+    """
     versions = {}
     for part, name in PARTS.items():
         try:
@@ -80,13 +86,15 @@ def is_free(port: int) -> bool:
 
 
 def can_write(folder: Path) -> bool:
-    """Whether files can be made in ``folder``, or it in the nearest folder that there is."""
+    """Whether files can be made in ``folder``; if it does not exist, whether it can be made."""
     there = next(path for path in (folder, *folder.parents) if path.exists())
     return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
 
 
 def findings() -> tuple[dict[str, str], list[str]]:
-    """What is told, by its subject, and sentences on what is wrong, each with its cure."""
+    """Returns facts about the installation by their subjects, and a list of sentences on what is wrong, each with its
+    cure.
+    """
     wrong: list[str] = []
     forced = os.environ.get("DRAPE_ISA")
     facts = {"processor": processor()}

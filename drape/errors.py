@@ -56,8 +56,9 @@ def _rebuild(kind: type[DrapeError], name: str, expected: str, got: str, cure: s
 
 
 def legible(text: str) -> str:
-    """``text`` of strangers for a line of a log, JSON or a header: what cannot be printed, as half a pair of UTF-16 or
-    a line's end, is escaped."""
+    """Returns a stranger's ``text`` for a line of a log, JSON or a header: what cannot be printed, as half a pair of
+    UTF-16 or a line's end, is escaped.
+    """
     return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
@@ -94,8 +95,9 @@ class Unavailable(DrapeError):
 
 
 def while_read(main: Callable[P, int]) -> Callable[P, int]:
-    """``main`` of a command, which ends without a word, and with the status of SIGPIPE, where nobody reads its output
-    any more (``... | head``)."""
+    """Wraps the ``main`` of a command. Where nobody reads its output any more (``... | head``) the wrapped function
+    ends silently, and returns the status of SIGPIPE.
+    """
 
     @functools.wraps(main)
     def written(*args: P.args, **kwargs: P.kwargs) -> int:
@@ -115,7 +117,9 @@ def while_read(main: Callable[P, int]) -> Callable[P, int]:
 
 
 def refusing(main: Callable[P, int]) -> Callable[P, int]:
-    """``main`` of a command, whose refusals (``DrapeError``) become their sentence and the status 2; ``while_read``."""
+    """Wraps the ``main`` of a command. Where it raises a refusal (``DrapeError``) the wrapped function prints its
+    sentence and returns 2. It also does what ``while_read`` does.
+    """
 
     @while_read
     @functools.wraps(main)
@@ -130,7 +134,9 @@ def refusing(main: Callable[P, int]) -> Callable[P, int]:
 
 
 def exit_status(main: Callable[[], object]) -> int:
-    """Runs ``main``, which returns a record and no status: 0, or 2 after the sentence of its refusal."""
+    """Runs the ``main`` of a command that returns no exit status, and returns one: 0, or 2 after the sentence of a
+    refusal.
+    """
 
     def run() -> int:
         main()
@@ -140,7 +146,9 @@ def exit_status(main: Callable[[], object]) -> int:
 
 
 def did_you_mean(name: str, known: Iterable[str], cure: str) -> str:
-    """``cure``, after the name of ``known`` that ``name`` was likely meant to be, if one is near."""
+    """Returns ``cure``, preceded by the name in ``known`` that ``name`` was probably meant to be, if there is a similar
+    one.
+    """
     by_lower = {one.lower(): one for one in known}
     near = difflib.get_close_matches(name[:120].lower(), by_lower, n=1, cutoff=0.7)
     return f"Did you mean {by_lower[near[0]]}? {cure}" if near else cure

@@ -62,9 +62,11 @@ def end_with_parent() -> None:
 
 
 def each(make: Callable[[Given], Made], ones: Sequence[Given]) -> list[Made]:
-    """``[make(one) for one in ones]``, and the first error of it; by copies of this process too, where there is room.
+    """Returns ``[make(one) for one in ones]``. Copies of this process share the work, where ``may_fork`` leaves room
+    for them.
 
-    Raises ``TooLarge`` where a copy ends before it has told what it made, as at a limit.
+    Raises the first error of ``make``, and ``TooLarge`` where a copy ends before it has told what it made, as at a
+    limit of memory.
     """
     if not _ROOM or len(ones) < 2:
         return [make(one) for one in ones]

@@ -217,7 +217,7 @@ class Drape:
 
 
 class WornBy(NamedTuple):
-    """A character that wears garments: its ``file``, and on which ``halves`` of its body those of ours lie."""
+    """A character that wears garments, its ``file``, and the ``halves`` of its body on which our garments lie."""
 
     wearer: Wearer
     file: Path

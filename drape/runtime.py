@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class RuntimeSettings(StageSettings, TierSettings, Protocol):
-    """What holds where the options of a drape are left open."""
+    """The settings that stand in for options of a drape which a caller leaves open."""
 
 
 class Runtime:
@@ -59,7 +59,9 @@ class Runtime:
         return worn if isinstance(worn, BodyStages) else self.worn
 
     def plan(self, scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
-        """``make_plan`` with the stages of the body that wears ``scene``, and the passes and folds of its tier."""
+        """Returns ``make_plan`` with the stages of the body that wears ``scene``, and the passes and folds of its
+        tier.
+        """
         asked = chosen(options, self.tiers, self._settings, self.engine.pass_count)
         return make_plan(self.on(scene).stages, scene, asked, messages=messages)
 

@@ -98,7 +98,9 @@ class DynamicGraph(nn.Module):
 
 
 class DrapeGraph(nn.Module):
-    """``DrapeTensors`` by name -> vertices, added jets and posed frames."""
+    """The drape graph: it takes ``DrapeTensors`` by name, and returns vertices, the changes of the jets, and posed
+    frames.
+    """
 
     def __init__(self, model: OneFit) -> None:
         super().__init__()

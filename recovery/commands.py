@@ -33,7 +33,9 @@ def add_style_options(parser: argparse.ArgumentParser) -> None:
 
 
 def style_of(given: argparse.Namespace) -> Style:
-    """The style that ``add_style_options`` asked for. Raises ``InputError`` for what is no width."""
+    """Returns the style that the options of ``add_style_options`` ask for. Raises ``InputError`` for text that is not a
+    width.
+    """
     return Style(read_values(given.style, "--style"), given.whole_sleeves, given.whole_bands)
 
 

@@ -25,7 +25,7 @@ REASON_BYTES = 123  # what a WebSocket close frame can carry
 
 
 class Forbidden(InputError):
-    """A request that this service does not answer from where it came."""
+    """A refusal of a request because of where it comes from: its host or its origin is not allowed."""
 
 
 class NotAcceptable(InputError):

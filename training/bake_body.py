@@ -188,14 +188,14 @@ def fit_regressor(vertices: np.ndarray, joints: np.ndarray) -> scipy.sparse.csr_
 
 
 def sparsify(weights: np.ndarray, per_vertex: int) -> np.ndarray:
-    """``weights`` (V, J) with all but the largest ``per_vertex`` entries dropped, rows renormalised."""
+    """Returns ``weights`` (V, J) with all but the largest ``per_vertex`` entries dropped, rows renormalised."""
     threshold = np.sort(weights, axis=1)[:, -per_vertex][:, None]
     kept = np.where((weights >= threshold) & (weights > 1e-4), weights, 0.0)
     return kept / kept.sum(axis=1, keepdims=True)
 
 
 def sample_anny(count: int, seed: int):
-    """The anny model and ``count`` sampled adults in its rest pose, y up."""
+    """Returns the anny model and ``count`` sampled adults in its rest pose, y up."""
     import anny
     import torch
     from anny.models.model_data import TopologyConfig
@@ -325,7 +325,7 @@ def _version(package: str) -> str:
 
 
 def main() -> None:
-    """Command line entry."""
+    """Runs the command line."""
     parser = argparse.ArgumentParser(description="Bakes the default body and the garment-cutting surfaces.")
     parser.add_argument("--out", type=Path, default=BODIES_DIR, help="folder of the body (%(default)s)")
     parser.add_argument("--helpers", type=Path, default=HELPERS_FILE, help="file of the surfaces (%(default)s)")

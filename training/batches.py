@@ -64,7 +64,9 @@ class TrainingGarment:
 
 @dataclass(frozen=True, eq=False)
 class BodyBatch:
-    """Posed bodies for the network, and their collider for contact."""
+    """Posed bodies for the network, ``tensors``, and the surface that cloth touches: ``collider`` [m] (F, C, 3) and its
+    unit normals (F, C, 3).
+    """
 
     tensors: BodyTensors
     collider: np.ndarray  # (F, C, 3) root-relative [m]

@@ -142,7 +142,7 @@ def agreed_jets(anchors: Tensor, charts: ChartConsensus, rotation: Tensor, centr
 
 
 def closing_jets(anchors: Tensor, charts: ChartConsensus, rotation: Tensor, centre: Tensor, scale: Tensor) -> Tensor:
-    """As ``agreed_jets``, with the height's order in every direction: full jets (F, K, 45)."""
+    """Returns full jets (F, K, 45), fitted as in ``agreed_jets`` but with the height's order in every direction."""
     return _moved(anchors, charts, rotation, centre, scale)[..., : jets.HEIGHT_COUNT, :].mT.flatten(-2)
 
 
@@ -237,5 +237,5 @@ class _Product(torch.autograd.Function):
 
 
 def product(pair: SparsePair, dense: Tensor) -> Tensor:
-    """``matrix @ dense`` (V, n), differentiable in ``dense`` (m, n)."""
+    """Returns ``matrix @ dense`` (V, n), differentiable in ``dense`` (m, n)."""
     return _Product.apply(dense, pair.forward, pair.transposed)

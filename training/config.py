@@ -65,7 +65,7 @@ class ModelConfig:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Those of ``drape.graph.inputs.PARTS`` that the network has."""
+        """The names in ``drape.graph.inputs.PARTS`` of the parts that the network has."""
         there = {
             PAPER: not self.vector,
             SURROUNDINGS: self.vector,
@@ -189,7 +189,7 @@ class TrainConfig:
 
 
 def as_published(model: ModelConfig) -> ModelConfig:
-    """``model`` with the published representation, and without what was added to it since."""
+    """Returns ``model`` with the published representation, and without what was added to it since."""
     return replace(model, variant="paper", corrections=0, fabric=False)
 
 

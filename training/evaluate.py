@@ -118,9 +118,10 @@ def evaluate(
     passes: int | None = None,
     fabric: Fabric | None = None,
 ) -> list[dict[str, Any]]:
-    """One row per method: mean energies [J] by part, strains, and the share of the baseline's energy.
+    """Returns a row for each method: mean energies [J] by part, strains, and the share of the baseline's energy.
 
-    ``passes`` and ``fabric`` as of ``posed_patches``; of a network that knows fabrics cloth rests as the garment says.
+    ``passes`` and ``fabric`` are those of ``posed_patches``. For a network that knows fabrics cloth rests as the
+    garment says.
     """
     made_of = (fabric or fabric_of(garment.fabric)) if model.config.fabric else None
     cloth_material = material() if made_of is None else Material.of(made_of)
@@ -171,7 +172,7 @@ def _all_frames(posed: Posed) -> np.ndarray:
 
 
 def print_rows(rows: list[dict[str, Any]]) -> None:
-    """A table of ``rows``, the charts' disagreement behind the network's."""
+    """Prints a table of ``rows``; those that have it end with the disagreement of charts."""
     width = max(len(row["garment"]) for row in rows)
     print(f"{'garment':{width}}  {'method':13}  " + "  ".join(f"{column:>10}" for column in COLUMNS))
     for row in rows:

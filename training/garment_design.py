@@ -153,7 +153,7 @@ def cut_mesh(
 
 
 def compact(vertices: np.ndarray, faces: np.ndarray, extra: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The largest connected piece, with unused vertices dropped."""
+    """Returns vertices [m] (n, 3), faces (f, 3) and rows of ``extra`` (n, C) of the largest connected piece."""
     pieces = trimesh.graph.connected_component_labels(trimesh.graph.face_adjacency(faces), node_count=len(faces))
     faces = faces[pieces == np.bincount(pieces).argmax()]
     used, renumbered = meshes.in_use(faces)
@@ -303,7 +303,7 @@ def _taubin(vertices: np.ndarray, faces: np.ndarray, *, passes: int) -> np.ndarr
 
 
 def clear_of_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> np.ndarray:
-    """Vertices pushed to at least ``CLEARANCE_M`` from the body; the push is smoothed so that no spikes stay."""
+    """Returns ``vertices`` [m] (N, 3) at least ``CLEARANCE_M`` off ``body``; a smoothed push leaves no spikes."""
     smooth = smoothing_matrix(faces, len(vertices))
     for _ in range(40):
         distance, outward = _outward(vertices, body)
@@ -327,10 +327,10 @@ def _outward(points: np.ndarray, body: BodyModel) -> tuple[np.ndarray, np.ndarra
 def vary_design(
     design: GarmentCuts, body: BodyModel, rng: np.random.Generator
 ) -> tuple[GarmentCuts, np.ndarray, np.ndarray]:
-    """A random neighbour of ``design`` with as many openings as it, and its mesh.
+    """Returns a random neighbour of ``design`` with as many openings, and its vertices [m] (N, 3) and faces (F, 3).
 
-    A draw that cuts a strap or a bridge away is thrown back: without it the garment would
-    have nothing to hang from. So is one with a sliver of a triangle, whose strain would rule the energy.
+    A draw that cuts a strap or a bridge away is thrown back: without it the garment would have nothing to hang from. So
+    is one with a sliver of a triangle, whose strain would rule the energy.
     """
     wanted = trimesh.Trimesh(*build_design(design, body), process=False).euler_number
     while True:
@@ -371,7 +371,9 @@ def vary(design: GarmentCuts, rng: np.random.Generator) -> GarmentCuts:
 
 
 def cut_garment(design: GarmentCuts, body: BodyModel) -> Garment:
-    """``design`` on ``body`` as the product keeps a garment: fitted patches, no texture coordinates, no rest state."""
+    """Returns ``design`` on ``body`` as the product keeps a garment: fitted patches, no texture coordinates, no rest
+    state.
+    """
     vertices, faces = build_design(design, body)
     key = vertices.tobytes() + faces.tobytes() + body.digest.encode() + f"{FORMAT_VERSION}.{INTAKE_VERSION}".encode()
     mesh = replace(plain_mesh(design.name, vertices, faces), material_names=("cloth",))

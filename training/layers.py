@@ -41,7 +41,10 @@ class Standardise(nn.Module):
         self.register_buffer("inverse_deviation", torch.ones(count))
 
     def set_from(self, samples: Tensor) -> None:
-        """Statistics of ``samples`` (n, count or fewer, the first ones); constant features and others pass unscaled."""
+        """Takes mean and deviation from ``samples`` (n, m), for the first m features.
+
+        A feature that hardly varies is shifted and not scaled; features past the first m pass as they are.
+        """
         deviation, count = samples.std(dim=0), samples.shape[1]
         self.mean[:count] = samples.mean(dim=0)
         self.inverse_deviation[:count] = 1.0 / torch.where(deviation < 1e-3, torch.ones_like(deviation), deviation)

@@ -32,10 +32,11 @@ def garment_vertices(
 
 
 def chart_disagreement(coefficients: Tensor, partition: Partition, sample: Tensor) -> Tensor:
-    """Mean squared distance [m^2] between the places that the charts of a vertex give it, over ``sample`` vertices.
+    """Returns the mean squared distance [m^2] () between the places that the charts of a vertex give it, over the
+    vertices ``sample`` (n,).
 
-    ``coefficients``: ``model.posed_coefficients`` of a drape, or the difference of two drapes on the same bodies.
-    The difference measures what charts say of the way from one drape to the other.
+    ``coefficients`` are ``model.posed_coefficients`` of a drape, or the difference of those of two drapes on the same
+    bodies: then the result says how far the charts disagree on the displacement from one drape to the other.
     """
     patch = partition.chart_patch[sample]
     row = partition.chart_row[sample]
@@ -55,7 +56,8 @@ def second_difference(vertices: Tensor) -> Tensor:
 
 
 def lost_area(vertices: Tensor, cloth: energies.ClothMesh) -> Tensor:
-    """Mean over the cloth of the squared share of area (F,) that triangles lack beside their rest; more costs nothing.
+    """Returns for each frame (F,) the squared share of its rest area that a triangle lacks, as a mean over the cloth; a
+    triangle that is larger than at rest costs nothing.
 
     Folds arrange the area that they are given. The membrane's energy charges so little for a few percent less that a
     network takes them, and folds then crumple what is left.
@@ -80,7 +82,7 @@ def waistband_energy(coefficients: Tensor, partition: Partition, garment: Traini
 
 
 def soften(energy: Tensor, knee: float) -> Tensor:
-    """``knee log(1 + e / knee)``: the energy itself while small, its logarithm where nothing can be done.
+    """Returns ``knee log(1 + e / knee)``: the energy itself while small, its logarithm where nothing can be done.
 
     Cloth between an arm and the trunk it lies in touches whatever the network does; without this such frames own the
     gradient.

@@ -74,7 +74,7 @@ def write_support(folder: Path, support: PoseSupport) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """The command line."""
+    """Runs the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--model", default=DEFAULT_MODEL, help="name or folder of the model")
     parser.add_argument("--write", action="store_true", help="put the poses into the model's folder")

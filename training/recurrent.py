@@ -80,7 +80,7 @@ class CalmingGRU(nn.Module):
         return moved * torch.clamp(largest / torch.clamp(root_mean_square(moved), min=TINY), max=1.0)
 
     def calmed(self, state: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
-        """``state`` after ``dt_s`` of calming, and its size (F, 1)."""
+        """Returns ``state`` after ``dt_s`` of calming, and its size (F, 1)."""
         before = root_mean_square(state)
         size = torch.clamp((before + self.offset) * torch.exp(-dt_s / self.decay_s)[:, None] - self.offset, min=0.0)
         return state * (size / torch.clamp(before, min=TINY)), size

@@ -42,7 +42,7 @@ def read_model(model: Path) -> tuple[Weights, ModelConfig, tuple[str, ...]]:
 def start_from(
     config: TrainConfig, start: Path | None, encoder: Path | None = None
 ) -> tuple[TrainConfig, Weights | None]:
-    """``config`` on top of the model ``start``, and the weights there; a static preset takes none.
+    """Returns ``config`` on top of the model ``start``, and the weights there; a static preset takes none.
 
     ``encoder``: an exported model, or the name of one, whose recurrent encoder the run begins with.
     """
@@ -83,14 +83,16 @@ def finetuned(model: Path, garments: list[str] | None) -> tuple[TrainConfig, Wei
 
 
 def with_garments(config: TrainConfig, garments: list[str] | None) -> TrainConfig:
-    """``config`` with ``garments``, files or names of designs, and no neighbours of theirs; unchanged without any."""
+    """Returns ``config`` with ``garments``, files or names of designs, and no neighbours of theirs; unchanged without
+    any.
+    """
     if not garments:
         return config
     return replace(config, data=replace(config.data, garments=tuple(garments), variants=0, own_share=1.0))
 
 
 def with_more_garments(config: TrainConfig, files: list[str] | None) -> TrainConfig:
-    """``config`` with garments besides its own: ``files`` and folders of them."""
+    """Returns ``config`` with garments besides its own: ``files`` and folders of them."""
     more = [str(path) for path in find_garments(files)] if files else []
     return replace(config, data=replace(config.data, garments=(*config.data.garments, *more)))
 

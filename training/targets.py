@@ -82,7 +82,9 @@ class SettledBank:
     def draw(
         self, garments: Sequence[TrainingGarment], rng: np.random.Generator
     ) -> tuple[TrainingGarment, SettledDrapes]:
-        """A garment of ``garments`` and one of its files; refuses (``ArtifactError``) a folder with hardly any.
+        """Returns a random garment of ``garments`` and the drapes in one of its files.
+
+        Raises ``ArtifactError`` where ``TRIES`` files are none of these garments'.
 
         Processes of a parallel run draw neighbours of the designs of their own; there are no files of those.
         """

@@ -162,7 +162,7 @@ class BaseTrainer:
         dynamic_code: Tensor | None = None,
         passes: int | None = None,
     ) -> DrapedBatch:
-        """``garment`` on the bodies of ``batch``; ``passes`` as of ``OneFit``."""
+        """Returns the drape of ``garment`` on the bodies of ``batch``; ``passes`` is that of ``OneFit``."""
         config = self.config
         embedding = self.model.garment(partition.encoded(self.fabric))
         posed = self.model(
@@ -213,7 +213,10 @@ class BaseTrainer:
         }
 
     def restore(self, state: dict) -> None:
-        """The state of ``state``; in a parallel run only process 0 continues its random draws exactly."""
+        """Puts the run into the saved ``state``.
+
+        In a parallel run only process 0 continues its random draws exactly.
+        """
         self.model.load_state_dict(state["model"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.step_count, self.elapsed_s, self.rate_factor = state["step"], state["elapsed_s"], state["rate_factor"]

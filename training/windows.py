@@ -65,7 +65,7 @@ class WindowBank:
         return sum(clip.frame_count for clip in self.clips)
 
     def draw(self, count: int, frames: int, rng: np.random.Generator) -> Windows:
-        """``count`` windows of ``frames`` frames."""
+        """Returns ``count`` windows of ``frames`` frames."""
         drawn = [self._draw_one(frames, rng) for _ in range(count)]
         poses, trans, dt_s = (np.stack(parts) for parts in zip(*drawn, strict=True))
         flip = rng.random(count) < self.mirror_share

@@ -199,9 +199,9 @@ def total_j(vertices: np.ndarray, task: OptimumTask, parts_of: PartsOf = energy_
 
 
 def never_above(optimum: Optimum, task: OptimumTask) -> Optimum:
-    """``optimum`` with the lowest start in place of what ended above it.
+    """Returns ``optimum`` with the lowest start in place of every drape whose energy ended above that of its start.
 
-    A place has one energy but for rounding: gravity is summed from another height here than on the way.
+    That happens by rounding alone: while descending, the energy of gravity is summed from another height than here.
     """
     risen = np.flatnonzero(optimum.energy_j > optimum.start_j)
     starts = np.stack(task.starts).astype(np.float64)

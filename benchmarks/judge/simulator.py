@@ -121,7 +121,10 @@ def simulate(
 
 
 def slow_down(speed: np.ndarray, x: np.ndarray, sheet: SimulatedCloth, fps: float) -> np.ndarray:
-    """``speed`` [m/s] (V, 3) after a frame of air and damping, as swing has them."""
+    """Returns the ``speed`` [m/s] (V, 3) of vertices at ``x`` [m] (V, 3) after one frame, slowed by damping and by air.
+
+    Air slows the part along the vertex normal alone, as in ``drape.live.swing_step``.
+    """
     speed = speed / (1.0 + sheet.damping_per_s / fps)
     normal = np.asarray(meshes.vertex_normals(x, sheet.mesh.faces))
     wind = (speed * normal).sum(axis=1, keepdims=True)

@@ -35,7 +35,7 @@ class ClothLooks:
 
     @cached_property
     def hems(self) -> list[np.ndarray]:
-        """The loops of hem vertices."""
+        """Returns the vertices (n,) of each hem in order, one array for each."""
         hem = hem_vertices(self.place, self.faces)
         return [loop for loop in meshes.boundary_loops(self.faces) if np.isin(loop, hem).all()]
 

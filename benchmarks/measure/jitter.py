@@ -47,10 +47,11 @@ class Jitter:
 
 
 def typical_windows(clips: Sequence[MotionClip], *, length: int = WINDOW) -> list[Window]:
-    """The ``length`` consecutive frames of every clip, without a glitch, whose joints turn the median amount.
+    """Returns for every clip the ``length`` consecutive frames, without a glitch, in which joints turn by the median
+    amount.
 
-    Clips faster than 60 frames per second are resampled to that; a slower one is taken as it is, since
-    interpolated frames would put corners into its motion. Clips without such a window are passed over.
+    Clips faster than 60 frames per second are resampled to that; a slower one is taken as it is, since interpolated
+    frames would put corners into its motion. Clips without such a window are passed over.
     """
     windows = []
     for clip in clips:

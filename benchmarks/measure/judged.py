@@ -56,7 +56,7 @@ class JudgedCloth:
 
     @classmethod
     def of(cls, garment: Garment, body: BodyModel, fabric: Fabric) -> JudgedCloth:
-        """``garment`` made of ``fabric``, in its own rest state."""
+        """Returns ``garment`` made of ``fabric``, in its own rest state."""
         return cls(garment, body, Material.of(fabric), fabric)
 
     @property
@@ -107,21 +107,21 @@ class Judged:
 
     @classmethod
     def of(cls, cloth: JudgedCloth, poses: np.ndarray) -> Judged:
-        """``cloth`` over its body at ``poses`` (n, 24, 3) [rad]."""
+        """Returns ``cloth`` over its body at ``poses`` (n, 24, 3) [rad]."""
         return cls(cloth, cloth.body.posed_vertices(poses), skinned(cloth.garment, cloth.body, poses))
 
     def at(self, frames: slice | np.ndarray) -> Judged:
-        """The same over some of the bodies."""
+        """Returns the same cloth over the bodies of the chosen ``frames`` alone."""
         return Judged(self.cloth, self.body_vertices[frames], self.skinned[frames])
 
     @property
     def spread(self) -> slice:
-        """Which of the frames measures that take long look at."""
+        """Returns the frames, spread over all, that slow measures are taken of."""
         return slice(None, None, max(1, len(self.body_vertices) // FEW))
 
     @cached_property
     def few(self) -> Judged:
-        """The same over the frames of ``spread``."""
+        """Returns the same cloth over the bodies of ``spread`` alone."""
         return self.at(self.spread)
 
     @cached_property
@@ -136,7 +136,7 @@ class Judged:
 
     @cached_property
     def pushed(self) -> np.ndarray:
-        """``skinned`` with the nearest-vertex push: the baseline of a gain."""
+        """Returns the baseline of a gain [m] (n, V, 3): ``skinned`` after the nearest-vertex push."""
         return nearest_vertex_push(self.skinned, self.body_vertices, self.body_normals)
 
     @cached_property
@@ -159,7 +159,7 @@ class Judged:
         return whole | {f"{part}_j": float(value.mean()) for part, value in parts.items()}
 
     def figures(self, vertices: np.ndarray, names: Sequence[str]) -> dict[str, float]:
-        """Those of ``MEASURES`` called ``names``, means over the frames of ``vertices`` [m] (n, V, 3)."""
+        """Returns those figures of ``MEASURES`` that ``names`` lists, as means over ``vertices`` [m] (n, V, 3)."""
         return {name: float(np.mean(MEASURES[name](self, vertices))) for name in names}
 
     def task(self, starts: tuple[np.ndarray, ...]) -> physics.OptimumTask:

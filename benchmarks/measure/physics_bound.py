@@ -18,7 +18,9 @@ OPTIMA = 6  # frames of a clip, at most, whose optimum is looked for
 
 
 def figures(judge: Judged, vertices: np.ndarray, start: np.ndarray, measured: np.ndarray) -> Row:
-    """The measures of ``vertices`` [m] (F, V, 3) in the frames ``measured``; jitter, against ``start``, is of all."""
+    """Returns a row of the energies, strain, detail, crossing and visible skin of ``vertices`` [m] (F, V, 3), as means
+    over the frames ``measured``, and their jitter relative to ``start`` (F, V, 3) over all frames.
+    """
     seen = vertices[measured].astype(np.float64)
     slow = judge.few.figures(seen[judge.spread], ("colliding_triangle_pct", "skin_pixels_pct"))
     return {
@@ -43,7 +45,7 @@ class Bound:
     processor_s: float
 
     def compare(self, row: Row, plain: Row) -> Row:
-        """``gain`` and ``detail_share`` of ``row``: 0 for the row ``plain`` of skinning, 1 for physics."""
+        """Returns ``gain`` and ``detail_share`` of ``row``: 0 for the row ``plain`` of skinning, 1 for physics."""
         share = metrics.gain(-plain["detail_mm"], -row["detail_mm"], -self.detail_mm)
         return {"gain": metrics.gain(plain["energy_j"], row["energy_j"], self.energy_j), "detail_share": share}
 

@@ -69,13 +69,16 @@ class Trace:
         self._calls, self._mark = [], _now()
 
     def took(self, stage: str, _: float) -> None:
-        """The calls since the last mark were those of ``stage``, which ends."""
+        """Ends ``stage``: the calls since the last mark were its own."""
         now = _now()
         self._frames[-1].append((stage, now[0] - self._mark[0], now[1] - self._mark[1], self._calls))
         self._calls, self._mark = [], now
 
     def frames(self) -> list[Spent]:
-        """What each frame spent; of what a stage spends, that outside of the engine is ``PYTHON``."""
+        """Returns for each frame the calls, the processor time [ms] and the wall time [ms], by stage and function.
+
+        What a stage spends outside of the engine's functions is listed under ``PYTHON``.
+        """
         found: list[Spent] = []
         for frame in self._frames:
             found.append({})
@@ -89,7 +92,7 @@ class Trace:
         return found
 
     def timed(self, name: str, function: Any) -> Callable[..., Any]:
-        """``function``, whose calls are told to the trace."""
+        """Returns ``function`` wrapped, so that the trace hears of each call."""
 
         def call(*arguments: Any) -> Any:
             cpu, wall = _now()
@@ -147,7 +150,9 @@ def multiply_adds_per_s(threads: int) -> float:
 
 
 def copied_per_s(moved: int, threads: int) -> float:
-    """Bytes a second, read and written, of copies that move about so many bytes each, from and to the same memory."""
+    """Returns how many bytes a second copies read and write that move about ``moved`` bytes each, from and to the same
+    memory.
+    """
     return _copied_per_s(max(1 << 12, 1 << (moved - 1).bit_length()), threads)
 
 

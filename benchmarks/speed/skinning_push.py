@@ -44,7 +44,9 @@ class Collider:
     def push(
         self, vertices: np.ndarray, poses: np.ndarray, betas: np.ndarray, clearance_m: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """``vertices`` [m] (F, V, 3) relative to the root, moved out of the body, and how far [m] (F, V) each went."""
+        """Returns ``vertices`` [m] (F, V, 3) relative to the root, moved out of the body, and how far [m] (F, V) each
+        went.
+        """
         body_vertices = self.posed(poses, betas)
         normals = self.normals(body_vertices)
         colliders = self.vertices
@@ -77,5 +79,5 @@ class SkinningPush:
         return skinning.skin_points(self.rest, self.weights, rotations[0], translations[0])[None].astype(np.float32)
 
     def push(self, vertices: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        """``vertices`` (1, V, 3) out of the body."""
+        """Returns ``vertices`` [m] (1, V, 3) after the push out of the body in ``pose`` (1, 24, 3)."""
         return self.collider.push(vertices, pose, self.betas, CLEARANCE_M)[0]

@@ -18,7 +18,7 @@ __all__ = ["Array", "check_finite", "check_shape", "count_of", "device", "like",
 def check_shape(
     name: str, array: Array, shape: tuple[int | None, ...], *, error: type[InputError] = InputError
 ) -> None:
-    """Raise ``error`` unless ``array`` has ``shape``; ``None`` admits any length on that axis."""
+    """Raises ``error`` unless ``array`` has ``shape``; ``None`` admits any length on that axis."""
     got = tuple(array.shape)
     fits = len(got) == len(shape) and all(want is None or want == have for want, have in zip(shape, got, strict=True))
     if not fits:
@@ -29,7 +29,7 @@ def check_shape(
 
 
 def check_finite(name: str, array: np.ndarray, *, error: type[InputError] = InputError) -> None:
-    """Raise ``error`` if ``array`` holds NaN or infinity, naming the first offending index."""
+    """Raises ``error`` if ``array`` holds NaN or infinity, naming the first offending index."""
     bad = ~np.isfinite(array)
     if bad.any():
         index = tuple(int(i) for i in np.argwhere(bad)[0])
@@ -42,7 +42,7 @@ def check_finite(name: str, array: np.ndarray, *, error: type[InputError] = Inpu
 
 
 def like(reference: Array, value: Any) -> Array:
-    """``value`` as an array of the namespace, dtype and device of ``reference``."""
+    """Returns ``value`` as an array of the namespace, dtype and device of ``reference``."""
     xp = namespace(reference)
     return xp.asarray(value, dtype=reference.dtype, device=device(reference))
 

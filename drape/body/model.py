@@ -45,7 +45,7 @@ class BodyModel:
 
     @cached_property
     def face_table(self) -> np.ndarray:
-        """The faces around every vertex, as ``meshes.vertex_normals`` takes them."""
+        """Returns the faces (V, D) around every vertex, padded as ``meshes.face_table`` makes it."""
         return meshes.face_table(self.faces, self.vertex_count)
 
     @cached_property
@@ -73,7 +73,7 @@ class BodyModel:
         return directions
 
     def check_betas(self, betas: np.ndarray) -> np.ndarray:
-        """``betas`` as float64 (S,), padded with zeros; refuses NaN and more entries than the body has."""
+        """Returns ``betas`` as float64 (S,), padded with zeros; refuses NaN and more entries than the body has."""
         betas = np.asarray(betas, dtype=np.float64)
         if betas.ndim != 1 or len(betas) > self.shape_count:
             raise BodyError(

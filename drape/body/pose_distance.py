@@ -35,11 +35,12 @@ PART_JOINTS = np.array([max(1, len(part) // SIXD) for part in PART_ENTRIES], dty
 
 @dataclass(frozen=True, eq=False)
 class PoseSupport:
-    """Kept poses, ``legs`` (n, 48), ``trunk`` (n, 78) and ``tilt`` (m, 3), int8 steps of 1/127, and how far from
-    the nearest of each (3,) a pose of the calibration may be.
+    """The poses that are kept of training, and how far from them a pose may be.
 
-    Columns are the 6D rotations (Zhou et al. 2019) of the part's joints, and of the tilt the world's up axis in the
-    pelvis' frame.
+    ``legs`` (n, 48), ``trunk`` (n, 78) and ``tilt`` (m, 3) are the kept poses, int8 steps of 1/127. Columns are the 6D
+    rotations (Zhou et al. 2019) of the part's joints, and of the tilt the world's up axis in the pelvis' frame.
+    ``limits`` (3,) are the largest distances of the three parts from the nearest kept pose that still count as like
+    training.
     """
 
     legs: np.ndarray
@@ -86,8 +87,9 @@ def pose_parts(poses: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def wandering(support: PoseSupport, count: int, *, seed: int = 0) -> np.ndarray:
-    """``count`` poses (n, 24, 3) [rad] that mix the kept legs, trunks and tilts, as training does; at most as many as
-    are kept."""
+    """Returns ``count`` poses (n, 24, 3) [rad] that mix the kept legs, trunks and tilts, as training does; at most as
+    many as are kept.
+    """
     draw = np.random.default_rng(seed)
     turns = np.tile(np.eye(3), (min(count, len(support.legs), len(support.trunk)), JOINT_COUNT, 1, 1))
     for rows, joints in ((support.legs, LEGS), (support.trunk, TRUNK)):

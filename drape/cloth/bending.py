@@ -86,7 +86,7 @@ def bending_hessian(corners: Corners, stiffness_j: Array, rest_rad: Array, *, de
 
 
 def bending_bilinear(corners: Corners, stiffness_j: Array, left: Array, right: Array) -> Array:
-    """``left``^T H ``right`` per hinge (H,) for directions (4, 3, H); H the definite Hessian, never stored."""
+    """Returns ``left``^T H ``right`` per hinge (H,) for directions (4, 3, H); H the definite Hessian, never stored."""
     xp = namespace(stiffness_j)
     slope = angle_gradient(hinge(corners))
     return stiffness_j * xp.sum(slope * left, axis=(0, 1)) * xp.sum(slope * right, axis=(0, 1))

@@ -115,7 +115,8 @@ def nearest_vertex_push(
     colliders: np.ndarray | None = None,
     passes: int = 2,
 ) -> np.ndarray:
-    """``vertices`` [m] (B, V, 3) with those nearer than ``clearance_m`` moved along the nearest body vertex's normal.
+    """Returns ``vertices`` [m] (B, V, 3) with those nearer than ``clearance_m`` moved along the nearest body vertex's
+    normal.
 
     A second pass follows vertices whose nearest body vertex changed. Every number of quality stands beside this
     baseline.
@@ -132,10 +133,10 @@ def nearest_vertex_push(
 
 
 def collider_vertices(body: BodyModel) -> np.ndarray:
-    """Sorted indices of the body vertices that cloth is tested against.
+    """Returns the sorted indices (C,) of the body vertices that cloth is tested against.
 
-    All of trunk and limbs; of head, hands and feet one per ``DETAIL_CELL_M`` cell
-    of the rest pose, without the inside of the mouth and the eye sockets.
+    These are all of trunk and limbs; of head, hands and feet one per ``DETAIL_CELL_M`` cell of the rest pose, without
+    the inside of the mouth and the eye sockets.
     """
     rest = body.v_template
     detail = body.weights[:, DETAIL_JOINTS].sum(axis=1) > 0.5

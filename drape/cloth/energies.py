@@ -118,20 +118,28 @@ def _shared_edges(edges: np.ndarray, faces: np.ndarray, hinges: np.ndarray, side
 
 
 def membrane(positions: Array, mesh: ClothMesh, material: Material) -> Array:
-    """Membrane energy of ``drape.cloth.membrane`` along warp and weft, summed over the triangles."""
+    """Returns the membrane energy [J] (...) of ``positions`` [m] (..., V, 3), summed over the triangles.
+
+    It is that of ``drape.cloth.membrane``, along warp and weft.
+    """
     return _membrane(_planes(positions), mesh, material)
 
 
 def bending(positions: Array, mesh: ClothMesh, material: Material) -> Array:
-    """Bending energy of ``drape.cloth.bending``, summed over the hinges.
+    """Returns the bending energy [J] (...) of ``positions`` [m] (..., V, 3), summed over the hinges
+    (``drape.cloth.bending``).
 
-    The rigidity is that of hinges in their direction (``fabric.hinge_harmonics``), times the hinge's stiffening.
+    A hinge's rigidity is that of its direction (``fabric.hinge_harmonics``), times its stiffening.
     """
     return _bending(_planes(positions), mesh, material)
 
 
 def gravity(positions: Array, mesh: ClothMesh, material: Material, *, height_m: float | Array = 0.0) -> Array:
-    """Potential energy m g (y - height) of the vertices; ``height_m`` a number or (..., 1)."""
+    """Returns the potential energy m g (y - height) [J] (...) of ``positions`` [m] (..., V, 3), summed over the
+    vertices.
+
+    ``height_m`` is a number or (..., 1).
+    """
     xp = namespace(positions)
     weight = material.gravity_m_s2 * mesh.vertex_mass(material)
     return xp.sum(weight * (positions[..., 1] - height_m), axis=-1)
@@ -147,10 +155,12 @@ def inertia(
     dt_s: float | Array,
     dt_before_s: float | Array | None = None,
 ) -> Array:
-    """Inertia's part of the incremental potential, m / (2 dt^2) |x - (x1 + dt v)|^2, v = (x1 - x2) / dt1.
+    """Returns inertia's part of the incremental potential [J] (...): the sum over the vertices of m / (2 dt^2) |x - (x1
+    + dt v)|^2, v = (x1 - x2) / dt1.
 
-    ``before`` x1 is ``dt_s`` [s] ago, ``before_that`` x2 another ``dt_before_s`` (dt1; as long if left
-    out), numbers or arrays (...). With equal steps it is SNUG's m / (2 dt^2) |x - 2 x1 + x2|^2.
+    ``positions`` x, ``before`` x1 and ``before_that`` x2 are [m] (..., V, 3). x1 is ``dt_s`` [s] ago, x2 another
+    ``dt_before_s`` (dt1; as long if left out), numbers or arrays (...). With equal steps it is SNUG's m / (2 dt^2) |x -
+    2 x1 + x2|^2.
     """
     xp = namespace(positions)
     ratio = 1.0 if dt_before_s is None else dt_s / dt_before_s
@@ -161,7 +171,10 @@ def inertia(
 
 
 def contact(distance: Array, mesh: ClothMesh, material: Material) -> Array:
-    """Contact energy c A max(0, gap - d)^2 of the vertices, ``distance`` d [m] (..., V) signed, outside positive."""
+    """Returns the contact energy c A max(0, gap - d)^2 [J] (...), summed over the vertices.
+
+    ``distance`` d [m] (..., V) is signed, positive outside the body.
+    """
     xp = namespace(distance)
     depth = xp.clip(material.contact_gap_m - distance, min=0.0)
     return material.contact_j_m4 * xp.sum(mesh.vertex_area * depth * depth, axis=-1)
@@ -180,7 +193,9 @@ def total(
     distance: Array | None = None,
     height_m: float | Array = 0.0,
 ) -> dict[str, Array]:
-    """The static parts by name; "contact" where ``distance`` is given."""
+    """Returns the static energies [J] (...) of ``positions`` [m] (..., V, 3) by name: "membrane", "bending" and
+    "gravity", and "contact" where ``distance`` is given.
+    """
     planes = _planes(positions)
     parts = {
         "membrane": _membrane(planes, mesh, material),

@@ -150,7 +150,9 @@ def hinge_harmonics(fabric: Fabric) -> tuple[float, float, float]:
 
 
 def hinge_rigidity(fabric: Fabric, angle_rad: Array) -> Array:
-    """Rigidity [J] of a hinge that bends along ``angle_rad`` to the warp, for ``drape.cloth.bending``."""
+    """Returns the rigidity [J] (H,) of hinges that bend in directions at ``angle_rad`` (H,) to the warp, for
+    ``drape.cloth.bending``.
+    """
     return _rigidity(hinge_harmonics(fabric), angle_rad)
 
 

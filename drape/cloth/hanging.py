@@ -32,7 +32,9 @@ class HoldingSkin:
         self._normals, self._tree = meshes.vertex_normals(vertices, faces), KDTree(vertices)
 
     def contact(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Distances [m] (V,) of ``x`` (V, 3), the ways out of the body (V, 3) and weights (V,) of contact."""
+        """Returns for points ``x`` [m] (V, 3) the signed distances [m] (V,) from the body, its outward unit normals (V,
+        3) there, and the weights (V,) of contact.
+        """
         far, near = self._tree.query(x)
         along = np.einsum("vc,vc->v", x - self._vertices[near], self._normals[near])
         return np.where(far < REACH_M, along, far), self._normals[near], self._weight[near]
@@ -54,8 +56,9 @@ class HangingCloth(Relaxation):
         self._sag = GRAVITY_M_S2 * softness
 
     def hung(self, x: np.ndarray, skin: HoldingSkin, steps: int) -> np.ndarray:
-        """Returns the cloth [m] (V, 3) after so many ``steps`` over ``skin`` from ``x`` [m] (V, 3). None of it is
-        inside the skin."""
+        """Returns the vertices [m] (V, 3) of the cloth after ``steps`` steps over ``skin`` from ``x`` [m] (V, 3). None
+        of them is inside the skin.
+        """
         for number in range(steps):
             distance, out, weight = skin.contact(x)
             if number % RENEWED == 0:

@@ -99,7 +99,9 @@ def membrane_hessian(corners: Corners, rest: RestTriangles, stiffness: Stiffness
 def membrane_bilinear(
     corners: Corners, rest: RestTriangles, stiffness: Stiffness, left: Corners, right: Corners
 ) -> Array:
-    """``left``^T H ``right`` per triangle (F,), directions like ``corners``; H the definite Hessian, never stored."""
+    """Returns ``left``^T H ``right`` per triangle (F,), directions like ``corners``; H the definite Hessian, never
+    stored.
+    """
     p, t = deformation_columns(corners, rest.inverse)
     (lp, lt), (rp, rt) = deformation_columns(left, rest.inverse), deformation_columns(right, rest.inverse)
     by_left, by_right = (

@@ -19,25 +19,33 @@ from drape.geometry import closest, meshes
 
 
 def edge_strain_pct(vertices: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Mean of |l - l0| / l0 over the edges, l0 the length in the rest mesh [m] (V, 3)."""
+    """Returns the mean [%] (B,) of |l - l0| / l0 over the edges of ``vertices`` [m] (B, V, 3), l0 the length in the
+    mesh ``rest`` [m] (V, 3).
+    """
     edges = meshes.unique_edges(faces)
     return _strain_pct(meshes.edge_lengths(vertices, edges), meshes.edge_lengths(rest, edges), "edge")
 
 
 def area_strain_pct(vertices: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Mean of |A - A0| / A0 over the faces, A0 the area in the rest mesh [m] (V, 3)."""
+    """Returns the mean [%] (B,) of |A - A0| / A0 over the faces of ``vertices`` [m] (B, V, 3), A0 the area in the mesh
+    ``rest`` [m] (V, 3).
+    """
     return _strain_pct(meshes.face_areas(vertices, faces), meshes.face_areas(rest, faces), "face")
 
 
 def colliding_vertex_pct(vertices: np.ndarray, body_vertices: np.ndarray, body_normals: np.ndarray) -> np.ndarray:
-    """Share of garment vertices (B, V, 3) behind the tangent plane of the nearest of all body vertices (B, Vb, 3)."""
+    """Returns the share [%] (B,) of garment vertices [m] (B, V, 3) behind the tangent plane of the nearest of all body
+    vertices (B, Vb, 3).
+    """
     index = nearest_body_vertices(vertices, body_vertices)
     distance = plane_distance(vertices, take_rows(body_vertices, index), take_rows(body_normals, index))
     return 100.0 * (distance < 0.0).mean(axis=-1)
 
 
 def colliding_triangle_pct(vertices: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray) -> np.ndarray:
-    """Share of garment vertices (B, V, 3) with a negative signed distance to the body's triangles."""
+    """Returns the share [%] (B,) of garment vertices [m] (B, V, 3) with a negative signed distance to the body's
+    triangles.
+    """
     inside = [
         (closest.signed_distance(cloth, body, body_faces) < 0.0).mean()
         for cloth, body in zip(vertices, body_vertices, strict=True)

@@ -222,8 +222,8 @@ def rest_edges(cloth: ClothMesh) -> np.ndarray:
 class Unfolded(NamedTuple):
     """The hinges laid flat at rest, once by each of their two triangles.
 
-    ``length`` [m] (2, H) of the shared edge, which both triangles have; ``along`` [m^2] (2, H): the edge times the way
-    from its start to the third corner; ``height`` [m] (2, H) of that corner over the edge.
+    ``length`` [m] (2, H) of the shared edge, which both triangles have; ``along`` [m^2] (2, H): the scalar product of
+    the edge and the vector from its start to the third corner; ``height`` [m] (2, H) of that corner over the edge.
     """
 
     length: np.ndarray

@@ -111,7 +111,7 @@ class Relaxation:
 
 
 def moved(x: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """``x`` [m] (V, 3), moved to ``goal`` (V, 3), but no vertex by more than ``LONGEST_MOVE_M``."""
+    """Returns ``x`` [m] (V, 3), moved to ``goal`` (V, 3), but no vertex by more than ``LONGEST_MOVE_M``."""
     size = np.linalg.norm(goal - x, axis=1, keepdims=True)
     return x + (goal - x) * np.minimum(1.0, LONGEST_MOVE_M / np.maximum(size, 1e-12))
 

@@ -22,7 +22,9 @@ LEAST_N_PER_M = 1e-9  # of the tension where there is none; keeps its root off z
 
 
 class Tension(NamedTuple):
-    """Of each vertex (V,): engineering strain along ``warp`` and ``weft``, and ``pressure`` [N/m^2] on the skin."""
+    """The tension of cloth at each of V vertices: engineering strain along ``warp`` and ``weft`` (V,), and the
+    ``pressure`` [N/m^2] (V,) on the skin.
+    """
 
     warp: np.ndarray
     weft: np.ndarray

@@ -28,9 +28,10 @@ BEHIND_M = 0.015  # nor does cloth that lies more than this behind it: layers ma
 
 @dataclass(frozen=True, eq=False)
 class ClothSamples(Samples):
-    """Samples of a garment, also as small products: C clusters of 4 samples are sums over 24 vertices each.
+    """Samples of a garment, which can also be computed as small products.
 
-    ``member`` (C, 24) are the vertices, ``rows`` (C, 24, 12) their weights in 4 points, 4 first and 4 second tangents.
+    Each of C clusters of 4 samples is a sum over 24 vertices: ``member`` (C, 24) are the vertices, and ``rows`` (C, 24,
+    12) their weights in 4 points, 4 first and 4 second tangents.
     """
 
     member: np.ndarray

@@ -71,7 +71,7 @@ def query_columns(points: Array) -> Array:
 
 
 def attend_columns(query: Array, table: Array, bias: Array) -> Array:
-    """``attend`` with the points last: means (..., 8, P) for ``query_columns``, by sums of exponentials.
+    """Returns ``attend`` with the points last: means (..., 8, P) for ``query_columns``, by sums of exponentials.
 
     A softmax without the search for the largest logit, which would cost more than all the rest. So the ``bias`` of some
     sample must be near 0, and means fade to nothing from some 10 cm away from all samples on.
@@ -120,7 +120,7 @@ def take(rows: Array, index: Array, axis: int = 0) -> Array:
 
 
 def columns(table: Array, index: Array) -> Array:
-    """``table`` (F, n, N) at ``index`` (m,) of its last axis: (F, n, m).
+    """Returns ``table`` (F, n, N) at ``index`` (m,) of its last axis: (F, n, m).
 
     Taken from one matrix of few rows, which graphs are fast with.
     """

@@ -77,7 +77,7 @@ class Pushed:
 
     ``coefficients`` [m] (F, K, 3, 10): a displacement as a cubic of each patch's parameters, in the axes of the
     vertices. Jets have no step 3; step 2 is repeated with what is still missing instead. ``left_m`` [m] (F,): the
-    longest way that a vertex moved by the blend of ``coefficients`` still has to go.
+    largest distance that a vertex moved by the blend of ``coefficients`` still lacks.
     """
 
     vertices: Array

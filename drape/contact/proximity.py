@@ -54,16 +54,19 @@ def patch_skin(centre: np.ndarray, facing: np.ndarray, skin: Skin) -> PatchSkin:
 
 
 def region_bias_of(most: np.ndarray) -> np.ndarray:
-    """Logits of regions; ``most`` is how much a sample of each is another part at most, in 15ths.
+    """Returns the logits, float32, of regions, with the shape of ``most``: how much any sample of a region belongs to
+    another part than the patch's own, in 15ths.
 
-    They lie far below 0 where none is. All 16 values are rounded to two bytes here, so that all who choose regions by
-    them choose the same.
+    A region without such a sample has a logit far below 0. All 16 values are rounded to two bytes here, so that all who
+    choose regions by them choose the same.
     """
     return np.log(most / OTHER_STEPS + REGION_LEAST).astype(np.float16).astype(np.float32)
 
 
 def in_halves(other: np.ndarray) -> np.ndarray:
-    """``other`` (..., 12) of ``PatchSkin`` as bytes (..., 6): sample i in the low half, i + 6 in the high half."""
+    """Returns ``other`` (..., 12) of ``PatchSkin`` as bytes (..., 6): sample i in the low half, i + 6 in the high
+    half.
+    """
     half = other.shape[-1] // 2
     return other[..., :half] | (other[..., half:] << 4)
 
@@ -126,10 +129,12 @@ def body_proximity(points: Array, near: Planes) -> tuple[Array, Array]:
 
 
 def held_share(before: Array, after: Array, near: Planes) -> Array:
-    """The share (F, K) that patches go of a correction from ``before`` to ``after`` [m] (F, K, n, 3).
+    """Returns the share (F, K) of a correction that each patch takes; its points go from ``before`` to ``after`` [m]
+    (F, K, n, 3).
 
-    It is 1 where no point comes deeper than ``HELD_M`` below a plane, or where it comes out. Otherwise it is that of
-    the point with the least room to there for its way, each less deep by the share of a plane that is not there:
+    The share is 1 where no point comes deeper than ``HELD_M`` below a plane, and where the correction brings it out.
+    Otherwise the point with the least room decides. With ``deeper`` the depth by which the correction lowers a point,
+    times the share to which there is a plane, the share is
 
         min (room + soft) / (max(deeper, room) + soft),   room = max(distance + held, 0).
     """

@@ -119,11 +119,12 @@ def outward_directions(vertices: np.ndarray, skin: Samples) -> np.ndarray:
 
 
 def other_part(distance: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """How much a sample is another part of the body than the cloth's own, in [0, 1].
+    """Returns how much each sample belongs to another part of the body than the cloth's own, in [0, 1], with the shape
+    of ``distance``.
 
-    ``distance`` [m] is that between both at rest; ``before`` [m] is how far the cloth lies before the sample's plane.
-    Cloth lies close over its own skin. Where it lies far behind the plane, the sample is on the other side of the same
-    limb: the way through the limb, up to ``THROUGH_M``, does not count as a distance.
+    ``distance`` [m] is that between cloth and sample at rest; ``before`` [m] is how far the cloth lies in front of the
+    sample's tangent plane. Cloth lies close over its own skin. Where it lies far behind the plane, the sample is on the
+    other side of the same limb: up to ``THROUGH_M`` of limb between the two does not count as a distance.
     """
     facing = np.clip((before - FRONT_M[0]) / (FRONT_M[1] - FRONT_M[0]), 0.0, 1.0)
     around = distance + np.clip(before, -THROUGH_M, 0.0)

@@ -123,7 +123,7 @@ def sample_table(point: Array, normal: Array) -> Array:
 
 
 def table_of_columns(point: Array, normal: Array) -> Array:
-    """``sample_table`` (..., n, 8) of points and normals given coordinates first (..., 3, n)."""
+    """Returns ``sample_table`` (..., n, 8) of points and normals given coordinates first (..., 3, n)."""
     xp = namespace(point)
     square, across = dot_columns(point, point), dot_columns(point, normal)
     columns = xp.concat([point, square, normal, across], axis=-2)
@@ -200,7 +200,7 @@ def ring_operator(rest: np.ndarray, faces: np.ndarray, placed: Placed) -> scipy.
 def operator(
     rest: np.ndarray, faces: np.ndarray, placed: Placed, sample: np.ndarray, near: np.ndarray
 ) -> scipy.sparse.csr_matrix:
-    """``Samples.operator``: the point by its barycentric weights, the tangents by a local least-squares plane.
+    """Returns ``Samples.operator``: the point by its barycentric weights, the tangents by a local least-squares plane.
 
     A plane goes through the vertices ``near`` (n,) of its ``sample`` (n,), which are sorted and have the corners of the
     sample's face.

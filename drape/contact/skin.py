@@ -73,10 +73,11 @@ class Skin(Samples):
 
 @dataclass(frozen=True, eq=False)
 class SkinOnBones(Tensors):
-    """Samples as products with bone transforms, in P parts of 4 regions, for one shape of a linearly skinned body.
+    """Samples of the skin as products with bone transforms, in P parts of 4 regions, for one shape of a linearly
+    skinned body.
 
-    ``rows`` (P, n, 4, 144): 48 points, 48 first and 48 second tangents of a part as sums over its n ``bones`` (P, n),
-    x y z 1 each.
+    ``rows`` (P, n, 4, 144) give 48 points, 48 first and 48 second tangents of a part as sums over its n ``bones`` (P,
+    n), of each of which they take x, y, z and 1.
     """
 
     rows: Array = tensor("skin_rows", "parts", "part_bones", 4, 3 * POSED_REGIONS * REGION_SIZE, unit="m or 1")
@@ -103,7 +104,7 @@ class ShapedSkin:
         return self.rows[0] + np.tensordot(betas[:, : len(self.rows) - 1].astype(np.float32), self.rows[1:], axes=1)
 
     def table(self, rotations: np.ndarray, translations: np.ndarray, betas: np.ndarray) -> np.ndarray:
-        """``skin_table`` (F, R, 12, 8) float32 of F bodies of shapes ``betas`` (F, >= shapes)."""
+        """Returns ``skin_table`` (F, R, 12, 8) float32 of F bodies of shapes ``betas`` (F, >= shapes)."""
         rotations, translations = rotations.astype(np.float32), translations.astype(np.float32)
         shaped = np.asarray(betas.any(axis=1))
         plain = skin_table(self.rows[0], self.bones, rotations[~shaped], translations[~shaped])

@@ -46,7 +46,7 @@ class BlendedPlanes:
 
     @classmethod
     def of_body(cls, contact: BodyContact, posed: np.ndarray, point_count: int, gap_m: float) -> BlendedPlanes:
-        """Those of the skin of the posed body (Vb, 3) [m] that takes part in ``contact``."""
+        """Returns the planes of a ``posed`` body (Vb, 3) [m], of the skin that takes part in ``contact``."""
         chosen = slice(None) if contact.vertices is None else contact.vertices
         normal = np.asarray(contact.normals(posed))
         middle, across = posed[contact.edges].mean(axis=1), normal[contact.edges].sum(axis=1)

@@ -21,7 +21,7 @@ PUSHES = 3  # of a point along the plane that it is under
 
 
 def outside(contact: BodyContact, posed: np.ndarray) -> BodyContact:
-    """``contact`` with the ``posed`` body (Vb, 3) [m] without the skin that lies in creases."""
+    """Returns ``contact`` with the ``posed`` body (Vb, 3) [m] without the skin that lies in creases."""
     hidden = hidden_skin(posed + ROOM_M * np.asarray(contact.normals(posed)), contact.faces)
     taking_part = (
         np.ones(len(posed), bool) if contact.vertices is None else np.isin(np.arange(len(posed)), contact.vertices)

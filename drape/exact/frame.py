@@ -47,10 +47,10 @@ class ExactCloth:
 
     @classmethod
     def of(cls, garment: Garment, fabric: Fabric, model: BodyModel, betas: np.ndarray, rest: np.ndarray) -> ExactCloth:
-        """``garment`` made of ``fabric`` on ``model`` in the shape ``betas`` (S,), with the first of its rests in which
-        nothing crosses: ``rest`` (V, 3), or its own.
+        """Returns the constants of ``garment``, made of ``fabric``, on ``model`` in the shape ``betas`` (S,).
 
-        Raises ``MeshError`` where the cloth passes through itself in both.
+        Its rest is ``rest`` [m] (V, 3), or the garment's own where cloth crosses itself in that. Raises ``MeshError``
+        where it crosses itself in both.
         """
         faces, own = garment.fine_faces.astype(np.int64), garment.vertices.astype(np.float64)
         mesh, material = ClothMesh.of(garment.rest_state(), faces, len(own)), Material.of(fabric)
@@ -102,7 +102,8 @@ class FrameFigures:
 
 @dataclass(frozen=True, eq=False)
 class RestingFrame:
-    """A frame that is done: its ``pose`` (24, 3) [rad], its cloth ``x`` [m] (V, 3), and the ``start`` (V, 3) of that.
+    """A finished frame: its ``pose`` (24, 3) [rad], its cloth ``x`` [m] (V, 3), and the drape ``start`` (V, 3) that it
+    was computed from.
 
     Cloth and start are relative to the root.
     """

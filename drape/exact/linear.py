@@ -46,8 +46,8 @@ class System(Recorded):
 
 
 def conjugate_gradients(system: System, force: np.ndarray, share: float, limit: int, moved: np.ndarray) -> int:
-    """Writes to ``moved`` (V, 3) with H moved near ``force`` (V, 3); returns the iterations, negative where H curved
-    down.
+    """Solves H x = ``force`` (V, 3) approximately, writes x (V, 3) to ``moved``, and returns the number of iterations:
+    negative if H was found to have negative curvature.
 
     Ends when the norm of the residual is ``share`` of that of ``force``, after ``limit`` iterations, or on a direction
     of negative curvature, which is left out unless it is the first (Steihaug 1983, "The conjugate gradient method and

@@ -119,7 +119,9 @@ class Descent:
         self.start_j = self.now.energy
 
     def around(self, x: np.ndarray) -> tuple[Around, np.ndarray]:
-        """The planes and springs that act on ``x``, and the second derivatives of its distance to the body."""
+        """Returns the planes and springs that act on ``x`` [m] (V, 3), and the second derivatives of its distances to
+        the body.
+        """
         if self._met is not None and self._met[0] is x:
             return self._met[1:]
         point, normal, bend = self._planes(x)

@@ -26,7 +26,7 @@ LEAST_GAIN = 2e-3  # of all that was gained: less in LOOK rounds, twice running,
 
 
 class At(Protocol):
-    """A place with its energy [J] and force [N] (V, 3), the gradient."""
+    """A place ``x`` [m] (V, 3), its ``energy`` [J], and the gradient of the energy there, ``force`` [N] (V, 3)."""
 
     @property
     def x(self) -> np.ndarray: ...

@@ -76,7 +76,7 @@ def add_garment(
     *,
     root_motion: RootMotion | None = None,
 ) -> None:
-    """The garment at ``frames`` (F, V, 3) [m], animated if there are several.
+    """Adds the garment at ``frames`` (F, V, 3) [m] to ``file``, animated if there are several.
 
     With a ``root_motion`` it is quantised: no coordinate is off by more than half a step, 1/65534 of the box's longer
     half. Without one it is in float32. Raises ``InputError`` for a motion of another number of frames.
@@ -170,7 +170,7 @@ def _in_steps(
 def _box(frames: np.ndarray, root_motion: RootMotion) -> tuple[np.ndarray, float]:
     """The centre (3,) [m] of the first frame in the root's frame, and the length [m] of ``STEPS`` steps.
 
-    That is the longest of the first frame's half edges and of all ways from it along an axis.
+    That is the longest of the first frame's half edges and of all displacements from it along an axis.
     """
     first = root_motion.towards_root(frames[0], 0)
     centre = 0.5 * (first.min(axis=0) + first.max(axis=0))
@@ -184,7 +184,7 @@ def _box(frames: np.ndarray, root_motion: RootMotion) -> tuple[np.ndarray, float
 def _steps(
     frames: np.ndarray, faces: np.ndarray, root_motion: RootMotion, centre: np.ndarray, scale: float
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Each frame's places in steps from the centre (V, 3), and the first one's normals or the ways from them."""
+    """Each frame's places in steps from the centre (V, 3), and the first one's normals or the differences from them."""
     first, table = np.zeros(0), meshes.face_table(faces, frames.shape[1])
     for frame, points in enumerate(frames):
         go_on()
@@ -196,12 +196,12 @@ def _steps(
 
 
 def normal_steps(normals: np.ndarray, first: np.ndarray | None) -> np.ndarray:
-    """Returns unit ``normals`` (V, 3) in steps of 8 bits, or the way to them from the normals ``first`` (V, 3)."""
+    """Returns unit ``normals`` (V, 3) in steps of 8 bits, or how much they differ from the normals ``first`` (V, 3)."""
     return np.rint((normals if first is None else _way_of_normals(first, normals)) * NORMAL_STEPS)
 
 
 def _way_of_normals(first: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """The way from ``first`` (V, 3) to the direction of ``normals``, each part within [-1, 1].
+    """The difference between ``first`` (V, 3) and the direction of ``normals``, each part within [-1, 1].
 
     Players make normals unit vectors again, so a normal that lies too far away is shortened.
     """

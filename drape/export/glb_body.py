@@ -27,7 +27,9 @@ def add_body(
     trans: np.ndarray | None = None,
     fps: float = 30.0,
 ) -> None:
-    """The body of shape ``betas`` with its 24 joints as a skeleton, moving if ``poses`` and ``trans`` are given."""
+    """Adds the body of shape ``betas`` to ``file``, with its 24 joints as a skeleton; it moves if ``poses`` and
+    ``trans`` are given.
+    """
     rest, joints = body.rest_vertices(betas), body.rest_joints(betas)
     first = len(file.json["nodes"])
     for joint, (name, parent) in enumerate(zip(JOINT_NAMES, PARENTS, strict=True)):

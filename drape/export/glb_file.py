@@ -61,8 +61,8 @@ class GlbFile:
     def array(
         self, array: np.ndarray, *, target: int | None = None, bounds: bool = False, normalized: bool = False
     ) -> int:
-        """The accessor of ``array`` (N, ...); positions and times need ``bounds``. ``normalized``: its largest integer
-        stands for one."""
+        """Adds ``array`` (N, ...) as an accessor and returns its index. Positions and times need ``bounds``.
+        ``normalized``: its largest integer stands for one."""
         array = np.ascontiguousarray(array)
         view: dict[str, Any] = {"buffer": 0, "byteOffset": self._size, "byteLength": array.nbytes}
         if target is not None:

@@ -36,7 +36,7 @@ class Surface(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class MeshSurface:
-    """A ``Surface`` of what is no ``Garment``."""
+    """A ``Surface`` that does not come from a ``Garment``, such as a mesh that a service has sent."""
 
     name: str
     vertex_count: int
@@ -65,5 +65,7 @@ class Counted(Protocol):
 
 
 def by_layer(layers: Sequence[Counted], vertices: np.ndarray) -> list[np.ndarray]:
-    """``vertices`` (F, V, 3) of all ``layers``, one after the other, as those of each."""
+    """Splits ``vertices`` (F, V, 3), which has those of all ``layers`` one after the other, into an array for each
+    layer.
+    """
     return np.split(vertices, np.cumsum([layer.vertex_count for layer in layers])[:-1], axis=1)

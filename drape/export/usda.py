@@ -82,7 +82,7 @@ def _listed(numbers: np.ndarray) -> Iterator[bytes]:
 
 
 def identifiers(names: Sequence[str]) -> list[str]:
-    """``names`` as USD names prims: letters, digits and underscores of ASCII, each once."""
+    """Returns ``names`` as USD names prims: letters, digits and underscores of ASCII, each once."""
     names_so_far: list[str] = []
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9_]", "_", name) or "_"

@@ -76,7 +76,7 @@ def vat_files(layers: Sequence[MovingGarment], fps: float, name: str) -> dict[st
 
 
 def merged(layers: Sequence[MovingGarment], name: str) -> MovingGarment:
-    """``layers`` as one, called ``name``, with the materials of all."""
+    """Returns ``layers`` as one, called ``name``, with the materials of all."""
     surfaces = [one.surface for one in layers]
     starts = np.cumsum([0, *(one.vertex_count for one in surfaces)]).tolist()
     uv, uv_faces, parts = [np.zeros((1, 2))], list[np.ndarray](), list[np.ndarray]()

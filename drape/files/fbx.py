@@ -39,8 +39,11 @@ class FbxMesh:
 
 @dataclass(frozen=True, eq=False)
 class FbxScene:
-    """What an FBX file shows: ``meshes``; ``materials`` as ``fbx_process`` tells them; ``pictures``, each by its names
-    with its bytes, which may be empty; and ``unit_m``, the unit of the file [m]."""
+    """The visible contents of an FBX file.
+
+    ``meshes``; ``materials`` as ``fbx_process`` tells them; ``pictures``, each by its names with its bytes, which may
+    be empty; and ``unit_m``, the unit of the file [m].
+    """
 
     meshes: list[FbxMesh]
     materials: list[dict[str, Any]]

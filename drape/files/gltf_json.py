@@ -135,7 +135,7 @@ class Extensions(Part):
 
 
 class Document(Part):
-    """The whole; what is told of the binary chunk is checked where it is read."""
+    """A whole glTF document. What it says of the binary chunk is checked where that is read."""
 
     extensions_required: Annotated[list[Text], FIRST_ONLY] = []
     extensions: Extensions = Extensions()
@@ -154,8 +154,11 @@ class Document(Part):
 
 
 def document_of(text: bytes, label: str) -> Document:
-    """The checked document in the ``text`` of a file's JSON chunk; refuses (``MeshError``) anything else, the first
-    field that is wrong, and required extensions that change what is read."""
+    """Returns the checked document in the ``text`` of a file's JSON chunk.
+
+    Raises ``MeshError`` where the text is no JSON, at the first field that is wrong, and for required extensions that
+    change what is read.
+    """
     marks = sum(text.count(mark) for mark in b",:[{")
     if marks > MOST_MARKS:
         expected = f"at most {MOST_MARKS:,} commas, colons and brackets"
@@ -186,5 +189,5 @@ def _refusal(error: ValidationError, label: str) -> MeshError:
 
 
 def shown(value: Any) -> str:
-    """``value`` of a document in a few words, however deep it is."""
+    """Returns a few words that show the ``value`` of a document, however deep it is."""
     return f"a {type(value).__name__} of {len(value)}" if isinstance(value, (dict, list)) else repr(value)[:60]

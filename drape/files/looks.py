@@ -21,10 +21,11 @@ Pair = tuple[float, float]
 
 @checked(frozen=True, config=ConfigDict(allow_inf_nan=False))
 class Material:
-    """How one material looks; ``pictures`` are numbers of those of its ``Looks``.
+    """The look of one material.
 
-    ``base_colour`` is linear RGBA, and the picture in its place is multiplied by it. ``offset``, ``rotation`` [rad] and
-    ``scale`` place pictures as KHR_texture_transform does.
+    ``base_colour`` is linear RGBA, and a picture of it is multiplied by it. ``pictures`` holds, for each slot that has
+    one, the number of a picture in the material's ``Looks``. ``offset``, ``rotation`` [rad] and ``scale`` place
+    pictures as KHR_texture_transform does.
     """
 
     base_colour: tuple[Share, Share, Share, Share] = (1.0, 1.0, 1.0, 1.0)
@@ -79,7 +80,11 @@ def media_type(picture: bytes) -> str:
 
 
 def looks_of(told: dict[str, Any], content: np.ndarray) -> Looks:
-    """What ``to_json`` told, with the bytes of all pictures in ``content``; raises ``ValueError`` or ``TypeError``."""
+    """Returns the looks that ``to_json`` described as ``told``; ``content`` holds the bytes of all pictures, one after
+    the other.
+
+    Raises ``ValueError`` or ``TypeError`` where the two do not fit.
+    """
     sizes = [int(one) for one in told["picture_bytes"]]
     materials, data = tuple(_MATERIALS.validate_python(told["materials"])), content.astype(np.uint8).tobytes()
     used = [number for one in materials if one for number in one.pictures.values()]

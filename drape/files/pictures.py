@@ -60,7 +60,7 @@ def _opened(payload: bytes, side: int, label: str) -> Image.Image:
 
 
 def with_remade(looks: Looks) -> tuple[Looks, tuple[str, ...]]:
-    """``looks`` with its pictures made anew; one that cannot be is left out, and a warning says why."""
+    """Returns ``looks`` with its pictures made anew; one that cannot be is left out, and a warning says why."""
     cleaned: list[bytes | None] = []
     notes, size = [], 0
     for number, picture in enumerate(looks.pictures, start=1):

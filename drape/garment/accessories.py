@@ -34,7 +34,9 @@ NECK_M = 0.05  # an opening that reaches as far below the head's joint is round 
 
 
 def bones_that_carry(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[str, ...]:
-    """``carriers_of`` a ``mesh`` [m], or those of jewellery (``jewellery_on``)."""
+    """Returns the names of the bones that carry ``mesh`` [m], an accessory (``carriers_of``) or jewellery
+    (``jewellery_on``); none where it is cloth.
+    """
     return carriers_of(mesh, skin, body) or jewellery_on(mesh, skin, body)
 
 

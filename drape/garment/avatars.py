@@ -47,7 +47,11 @@ class Avatar:
 
 @dataclass(frozen=True, eq=False)
 class PhenotypeSpace:
-    """anny's adult rest shapes at the corners of its grid of anchors, in a common basis."""
+    """anny's adult rest shapes at the corners of its grid of anchors, as vectors of a common basis.
+
+    The axes of the grid are called ``labels``, and ``anchors`` are the values on each. The vertices of a corner are
+    ``mean`` (V, 3) and a sum over ``basis``, weighted by its row of ``coefficients``.
+    """
 
     labels: tuple[str, ...]
     anchors: tuple[tuple[float, ...], ...]
@@ -59,7 +63,7 @@ class PhenotypeSpace:
     base_vertex_count: int
 
     def check(self, phenotype: dict[str, Any]) -> dict[str, float]:
-        """``phenotype`` as numbers, absent entries at 0.5 (age at 2/3, a young adult)."""
+        """Returns ``phenotype`` as numbers, absent entries at 0.5 (age at 2/3, a young adult)."""
         unknown = sorted(set(phenotype) - set(self.labels))
         if unknown:
             raise BodyError(
@@ -170,7 +174,10 @@ def _numbers(name: str, value: Any, count: int | None) -> np.ndarray:
 
 
 def mesh_avatar(path: Path, body: BodyModel) -> Avatar:
-    """The avatar in a mesh file: vertex by vertex for MakeHuman's base mesh, else fitted to its surface."""
+    """Returns the avatar in a mesh file.
+
+    MakeHuman's base mesh is taken vertex by vertex; to any other surface the standard body is fitted.
+    """
     from drape.garment.files.mesh import AVATAR_VERTEX_LIMIT, read_mesh
     from drape.garment.registration import body_units, register_body
 

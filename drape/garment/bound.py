@@ -72,8 +72,10 @@ class Drawer:
         self._faces = np.ascontiguousarray(faces[np.isin(faces, self._asked).any(axis=1)], dtype=np.int32)
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """What ``drape_draw_bound`` takes beside the cloth and the counts, in its order: faces (F, 3) around the
-        vertices (N,) of the cloth whose normals are asked for, then corner, weight, offset, kind; numbers as float32.
+        """The arrays that ``drape_draw_bound`` takes beside the cloth and the counts, in its order.
+
+        They are the faces (F, 3) around the vertices (N,) of the cloth whose normals are asked for, then corner,
+        weight, offset, kind; numbers as float32.
         """
         bound = self._bound
         numbers = bound.weight.astype(np.float32), bound.offset.astype(np.float32)
@@ -100,7 +102,7 @@ def bind(
     part: np.ndarray,
     beyond: np.ndarray | None = None,
 ) -> BoundMesh:
-    """``mesh`` with its vertices at ``places`` [m] (D, 3), hung on ``cloth`` [m] (V, 3) of ``faces`` (F, 3).
+    """Returns ``mesh`` with its vertices at ``places`` [m] (D, 3), hung on ``cloth`` [m] (V, 3) of ``faces`` (F, 3).
 
     ``row`` (D,): the cloth's vertex that a drawn one is, else -1. ``part`` (D,): the number of the stiff part that it
     belongs to, else -1. ``beyond`` (D, 3) [m]: where to look for the cloth of each, if not at its place.

@@ -133,7 +133,7 @@ class Garment(Atlas):
 
     @property
     def surface(self) -> Garment | BoundMesh:
-        """What is drawn of it: its delivered triangles, or the mesh that hangs on them."""
+        """The surface that is drawn: the delivered triangles, or the mesh that hangs on them."""
         return self if self.drawn is None else self.drawn
 
     def drawn_vertices(self, vertices: np.ndarray) -> np.ndarray:

@@ -49,8 +49,11 @@ def without_caps(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def without_pits(points: np.ndarray, faces: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Which ``faces`` (F,) of the mesh with ``points`` [m] (N, 3) are not of a pit across a bone between ``joints`` [m]
-    (24, 3): of a floor that it goes through, and of walls around that look at it. Refuses a one-sided surface."""
+    """Returns which ``faces`` (F,) bool of the mesh with ``points`` [m] (N, 3) do not belong to a pit.
+
+    A pit closes a tube inside: a floor that a bone between ``joints`` [m] (24, 3) goes through, and the walls around it
+    that look towards the bone. Refuses a one-sided surface.
+    """
     keep, piece = np.ones(len(faces), dtype=bool), mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
     areas, middles = meshes.face_areas(points, faces), points[faces].mean(axis=1)
     wound, (_, first, second) = np.where(consistent_turn(faces), -1.0, 1.0), meshes.edge_pairs(faces)

@@ -117,14 +117,14 @@ def clear_body(
     give_up_m: float = GIVE_UP_DEPTH_M,
     through: bool = False,
 ) -> Cleared:
-    """``vertices`` (N, 3) moved until each is at least ``CLEARANCE_M`` outside the closed body; refuses (``MeshError``)
-    where the last of ``rounds`` leaves less than ``least_m``, as between thighs that touch, in more than a few places,
-    and where a vertex begins deeper than ``give_up_m`` in the body.
+    """Returns ``vertices`` (N, 3) moved until each is at least ``CLEARANCE_M`` outside the closed body; refuses
+    (``MeshError``) where the last of ``rounds`` leaves less than ``least_m``, as between thighs that touch, in more
+    than a few places, and where a vertex begins deeper than ``give_up_m`` in the body.
 
-    The first push maps distances through a softened maximum, which is monotone, so that a
-    lining stays under its cloth; later pushes lift what is still short. Each push is spread
-    over the cloth, over shorter lengths from round to round, so that it ends without spikes. With ``through`` limbs may
-    stick through the cloth, as toes through a short sock: cloth inside them leaves by the side that it looks to.
+    The first push maps distances through a softened maximum, which is monotone, so that a lining stays under its cloth;
+    later pushes lift what is still short. Each push is spread over the cloth, over shorter lengths from round to round,
+    so that it ends without spikes. With ``through`` limbs may stick through the cloth, as toes through a short sock:
+    cloth inside them leaves by the side that it looks to.
     """
     target, moved = CLEARANCE_M + MARGIN_M, vertices.copy()
     skin = _Skin(moved, body_vertices, body_faces)

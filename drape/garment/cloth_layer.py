@@ -86,8 +86,9 @@ def cloth_layer(sheets: GarmentMesh, skin: np.ndarray, outer: np.ndarray | None 
 
 
 def hung(mesh: GarmentMesh, places: np.ndarray, cloth: GarmentMesh, joints: np.ndarray, skin: np.ndarray) -> BoundMesh:
-    """``mesh`` with its vertices at ``places`` [m] (D, 3), hung on its ``cloth``, which lies on a body with ``joints``
-    [m] (24, 3) and ``skin`` (S, 3)."""
+    """Returns ``mesh`` with its vertices at ``places`` [m] (D, 3), hung on its ``cloth``, which lies on a body with
+    ``joints`` [m] (24, 3) and ``skin`` (S, 3).
+    """
     distance, row = KDTree(cloth.vertices).query(places)
     row = np.where(distance <= SAME_M, row, -1)
     part, label = _stiff_parts(mesh, places, row)

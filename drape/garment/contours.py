@@ -213,10 +213,11 @@ def match_contours(source: list[Contour], target: list[Contour], joints: np.ndar
 
 
 def lost_parts(nodes: np.ndarray, faces: np.ndarray, joints: np.ndarray, parts: Sequence[str]) -> tuple[str, ...]:
-    """Those of ``parts`` that do not go through an opening of a garment at ``nodes`` [m] (N, 3), one opening for each.
+    """Returns the ``parts`` of the body that do not go through an opening of a garment at ``nodes`` [m] (N, 3), one
+    opening for each.
 
-    So is a limb whose bones go through the cloth: its sleeve slipped off and only the cuff is still round the arm.
-    ``joints`` [m] (24, 3) are those of the body in its pose.
+    A limb whose bones go through the cloth is lost too: its sleeve slipped off and only the cuff is still round the
+    arm. ``joints`` [m] (24, 3) are those of the body in its pose.
     """
     chains = bone_chains(joints)
     there = Counter(filter(None, (part_round(contour, chains) for contour in open_contours(nodes, faces))))

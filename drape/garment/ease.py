@@ -29,15 +29,18 @@ class Ease(NamedTuple):
 
     @property
     def ease_m(self) -> float:
-        """The garment's girth minus the body's."""
+        """The garment's girth minus the body's [m]."""
         return self.garment_m - self.body_m
 
 
 def eases(
     faces: np.ndarray, rest: RestState, vertices: np.ndarray, body: BodyModel, betas: np.ndarray | None = None
 ) -> dict[str, Ease]:
-    """The ease by the names of ``SectionHeights`` of a garment, ``faces`` (F, 3) of the cloth ``rest``, that is draped
-    at ``vertices`` [m] (V, 3) on ``body`` in its rest pose and the shape ``betas``; only levels that it goes around."""
+    """Returns the ease of a garment at each of the ``SectionHeights`` that it goes around, by the level's name.
+
+    Its ``faces`` (F, 3), of the cloth ``rest``, are draped at ``vertices`` [m] (V, 3) on ``body`` in the rest pose and
+    the shape ``betas``.
+    """
     place, skin, joints = landmarks(body), body.rest_vertices(betas), body.rest_joints(betas)
     by_name = {}
     for name, level in place.levels(skin)._asdict().items():

@@ -44,7 +44,7 @@ def patch_grain(atlas: Atlas, vertices: np.ndarray, faces: np.ndarray, warp: np.
 
 
 def rest_grain(garment: Garment) -> np.ndarray:
-    """``patch_grain`` (K, 2) of a garment at rest."""
+    """Returns ``patch_grain`` (K, 2) of a garment at rest."""
     vertices, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
     if garment.rest_edges is not None:
         warp = warp_directions(garment.rest_state(), vertices, faces)

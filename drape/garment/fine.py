@@ -21,7 +21,7 @@ def has_finer(garment: Garment) -> bool:
 
 
 def fine_garment(garment: Garment) -> Garment:
-    """``garment`` with all its vertices and ``fine_faces`` as the delivered ones, under a digest of its own.
+    """Returns ``garment`` with all its vertices and ``fine_faces`` as the delivered ones, under a digest of its own.
 
     Its first vertices are the delivered ones, in their order. Texture coordinates are linear in every delivered
     triangle, whose parts have its material. A garment that was not subdivided is returned as it is, without what hangs

@@ -56,7 +56,7 @@ class RestSurface:
 
     @cached_property
     def graph(self) -> scipy.sparse.csr_matrix:
-        """Edge graph with diagonals [m]."""
+        """A sparse symmetric matrix (N, N) of the lengths [m] of edges and of the diagonals across them."""
         return vertex_graph(self.vertices, self.faces)
 
 

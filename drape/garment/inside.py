@@ -60,12 +60,12 @@ def fit_from(
     sole: int | None = None,
     lock: float = 0.0,
 ) -> tuple[np.ndarray, float]:
-    """Parameters from one start, and the mean cost [m^2] with the priors.
+    """Returns the parameters that a fit from one start ends at, and its mean cost [m^2] with the priors.
 
-    ``likely`` (P,) are the likely parameters, by default the mean shape in T-pose, where it starts.
-    ``slack`` is the pull of cloth outside that carries nothing, over the usual one. ``place_prior_m`` (3,) is what a
-    metre from the likely place is worth. The vertex ``sole``, if given, stands on the floor. With a ``lock`` cloth lies
-    as far from the skin as most of the band that carries it does, and what lies so pulls by that much either way.
+    ``likely`` (P,) are the likely parameters; by default those of the mean shape in T-pose at the start's place.
+    ``slack`` is how strongly cloth off the skin that carries nothing pulls, relative to usual. ``place_prior_m`` (3,)
+    is what a metre from the likely place costs. The vertex ``sole``, if given, stands on the floor. With a ``lock``
+    gaps count from the gap of most of the band that carries the cloth, and near there they weigh at least that much.
     """
     cuffs = _cuffs(body, contours, parameters)
     if likely is None:

@@ -94,7 +94,7 @@ def garment_digest(
 
 
 def garment_name(text: str) -> str:
-    """``text`` as a garment's name: lower-case letters, digits and underscores."""
+    """Returns ``text`` turned into a garment's name: lower-case letters, digits and underscores."""
     name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:64]
     if not name:
         raise InputError(
@@ -260,7 +260,9 @@ def part_digest(digest: str, number: int) -> str:
 
 
 def stored_outfit(folder: Path, digest: str, *, whole: bool) -> list[Garment]:
-    """What ``intake_outfit`` stored in ``folder`` under ``digest``; nothing where some of it is missing."""
+    """Returns the garments that ``intake_outfit`` stored in ``folder`` under ``digest``; none if one of them is
+    missing.
+    """
 
     def found(own: str) -> Garment | None:
         path = next(folder.glob(f"*-{own[:16]}.npz"), None)
@@ -305,8 +307,9 @@ def _describe_fit(garment: Garment, options: IntakeOptions) -> list[str]:
 
 
 def with_rest_state(garment: Garment, rest: RestMesh, options: IntakeOptions, sewn: Sewing | None = None) -> Garment:
-    """``garment``, which was fitted to ``rest``, with its rest state and fabric as ``options`` ask; figures of the rest
-    state go into the manifest. A garment that is ``sewn`` has its hinges from there."""
+    """Returns ``garment``, which was fitted to ``rest``, with its rest state and fabric as ``options`` ask; figures of
+    the rest state go into the manifest. A garment that is ``sewn`` has its hinges from there.
+    """
     compact = rest.mesh
     row = np.concatenate([rest.kept, np.arange(len(compact.vertices), len(rest.vertices))])
     faces = garment.fine_faces.astype(np.int64)

@@ -42,8 +42,9 @@ SURE, TRIED = 0.7, 4
 
 
 def jewellery_on(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[str, ...]:
-    """The bones that carry ``mesh`` [m] on ``body`` with the ``skin`` (V, 3) [m]; none of what is so much as cloth, or
-    lies off the skin."""
+    """Returns the names of the bones that carry ``mesh`` [m] as jewellery on ``body`` with the ``skin`` [m] (V, 3);
+    none where the mesh is as large as cloth, or does not lie on the skin.
+    """
     if len(mesh.faces) == 0 or cloth_area(mesh) > AREA_MINIMUM:
         return ()
     points, _ = cloth_points(mesh.vertices, mesh.faces, COUNT)

@@ -38,7 +38,9 @@ LEAST_M2 = 1e-4
 
 
 def spread(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: BodyModel) -> MovedGarment:
-    """A mantle [m] (V, 3), (F, 3) on ``avatar``, on the standard body in T-pose."""
+    """Returns a mantle, ``vertices`` [m] (V, 3) and ``faces`` (F, 3) as it lies on ``avatar``, moved to the standard
+    body in T-pose.
+    """
     pose, lay = np.zeros((JOINT_COUNT, 3)), vertices
     if avatar.moved:
         pose = _pose_of(bone_motions(avatar.vertices, body.v_template, body.weights)[0])

@@ -61,8 +61,11 @@ def shares_of(rotations: np.ndarray) -> np.ndarray:
 
 
 def shaped(rest: np.ndarray, ways: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-    """The unskinned vertices [m] (F, N, 3) of a mantle at ``rest`` (N, 3) with ``ways`` [m] (N, K, 3), whose bones are
-    turned by ``rotations`` (F, 24, 3, 3)."""
+    """Returns the vertices [m] (F, N, 3) of a mantle before skinning, for bones turned by ``rotations`` (F, 24, 3, 3).
+
+    ``rest`` [m] (N, 3) are its vertices at rest, ``ways`` [m] (N, K, 3) their displacements from there for arms along
+    each of ``DIRECTIONS``.
+    """
     shares = shares_of(rotations)
     across = np.clip(0.5 + 0.5 * rest[:, 0] / MIDDLE_M, 0.0, 1.0)
     left = across * across * (3.0 - 2.0 * across)
@@ -72,8 +75,9 @@ def shaped(rest: np.ndarray, ways: np.ndarray, rotations: np.ndarray) -> np.ndar
 
 
 def ways_to(shapes: np.ndarray, rest: np.ndarray, binding: BodyBinding, body: BodyModel) -> np.ndarray:
-    """The ways [m] (N, K, 3) from ``rest`` (N, 3) that skinning by ``binding`` takes to ``shapes`` (K, N, 3), those
-    over arms along ``DIRECTIONS``."""
+    """Returns the displacements [m] (N, K, 3) from ``rest`` (N, 3) after which skinning by ``binding`` gives ``shapes``
+    (K, N, 3), the mantle over arms along each of ``DIRECTIONS``.
+    """
     rotations, translations = body.bones(np.stack([pose_of(direction) for direction in DIRECTIONS]))
     turn = np.einsum("vj,kjab->kvab", binding.weights, rotations, optimize=True)
     back = np.linalg.solve(turn, (shapes - binding.weights @ translations)[..., None])[..., 0]
@@ -83,8 +87,9 @@ def ways_to(shapes: np.ndarray, rest: np.ndarray, binding: BodyBinding, body: Bo
 def worn(
     rest: np.ndarray, ways: np.ndarray, binding: BodyBinding, body: BodyModel, poses: np.ndarray, betas: np.ndarray
 ) -> np.ndarray:
-    """The vertices [m] (F, N, 3) of a mantle in ``poses`` (F, 24, 3) on a body of the shape ``betas`` (S,), relative to
-    its root."""
+    """Returns the vertices [m] (F, N, 3) of a mantle in ``poses`` (F, 24, 3) [rad] on a body of the shape ``betas``
+    (S,), relative to its root; ``rest`` and ``ways`` as in ``shaped``.
+    """
     rotations, translations = body.bones(poses, None, betas)
     place = shaped(rest, ways, rotations) + binding.shapedirs @ betas
     return np.asarray(skin_points(place, binding.weights, rotations, translations)) - body.rest_joints(betas)[0]

@@ -65,7 +65,7 @@ def check_mesh(
     placed: bool = False,
     carried: bool = False,
 ) -> GarmentMesh:
-    """``mesh`` in metres, y up, consistently wound with normals outward, on ``avatar``; raises ``MeshError``.
+    """Returns ``mesh`` in metres, y up, consistently wound with normals outward, on ``avatar``; raises ``MeshError``.
 
     Vertices keep their order and number. A mesh that is ``placed`` is checked and on its avatar in metres already; what
     is ``carried`` by a bone may be smaller than cloth.
@@ -78,7 +78,7 @@ def check_mesh(
 
 
 def check_surface(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` with finite numbers and faces that a cloth can have; raises ``MeshError``."""
+    """Returns ``mesh`` with finite numbers and faces that a cloth can have; raises ``MeshError``."""
     check_arrays(mesh, vertex_limit=2 * VERTEX_LIMIT)
     mesh = without_flat_faces(mesh)
     check_edges(mesh)
@@ -121,7 +121,9 @@ def check_arrays(mesh: GarmentMesh, *, vertex_limit: int = VERTEX_LIMIT) -> None
 
 
 def without_flat_faces(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` without faces that have no area or were there before; refuses one that has no others."""
+    """Returns ``mesh`` without faces that have no area or repeat an earlier face; refuses a mesh with no other
+    faces.
+    """
     corners = mesh.vertices[mesh.faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     altitude = 2.0 * meshes.face_areas(mesh.vertices, mesh.faces) / np.maximum(longest, 1e-300)
@@ -156,10 +158,11 @@ def check_edges(mesh: GarmentMesh) -> None:
 def place_on_avatar(
     mesh: GarmentMesh, avatar: Avatar, *, unit: Unit = "auto", up: Up = "auto", named: bool = True
 ) -> GarmentMesh:
-    """``mesh`` in metres, y up, in the avatar's coordinates: the reading of unit, axis and floor that fits best.
+    """Returns ``mesh`` in metres, y up, in the avatar's coordinates: the reading of unit, axis and floor that fits
+    best.
 
-    The plain reading (metres, y up, the avatar's origin) wins unless another fits clearly
-    better. Where nobody ``named`` the avatar the garment must fit closely.
+    The plain reading (metres, y up, the avatar's origin) wins unless another fits clearly better. Where nobody
+    ``named`` the avatar the garment must fit closely.
     """
     check_options(unit, up)
     used = np.unique(mesh.faces)
@@ -227,7 +230,9 @@ def misfit(points: np.ndarray, avatar: Avatar, normals: np.ndarray) -> float:
 
 
 def orient_outward(mesh: GarmentMesh, avatar: Avatar) -> GarmentMesh:
-    """``mesh`` wound consistently, each piece with its normals away from the body; refuses a one-sided surface."""
+    """Returns ``mesh`` wound consistently, each piece with its normals away from the body; refuses a one-sided
+    surface.
+    """
     turn = consistent_turn(mesh.faces)
     faces = np.where(turn[:, None], mesh.faces[:, ::-1], mesh.faces)
     normals = meshes.area_vectors(mesh.vertices, faces)

@@ -22,10 +22,11 @@ from drape.garment.wearer_reading import WearerCandidate
 def modelled_on(
     mesh: GarmentMesh, body: BodyModel, options: IntakeOptions, meaning: Any = None
 ) -> tuple[GarmentMesh, Avatar, WearerCandidate | None]:
-    """``mesh``, checked, in metres on its avatar, that avatar, and its wearer where it was looked for.
+    """Returns ``mesh``, checked, in metres on its avatar; that avatar; and its wearer, where one was looked for.
 
-    ``meaning`` as ``avatars.parse_avatar`` returns it, with what it tells of the file (``told_reading``). Raises
-    ``MeshError`` where the mesh is no cloth or no human body fits in it, and ``BodyError`` for an avatar that is none.
+    ``meaning`` is what ``avatars.parse_avatar`` returns, with what it tells of the file (``told_reading``). Raises
+    ``MeshError`` where the mesh is no cloth or no human body fits in it, and ``BodyError`` for an avatar that is not a
+    body.
     """
     check_options(options.unit, options.up)
     given, meaning = told_reading(meaning)

@@ -29,7 +29,9 @@ SAMPLES = 400
 
 
 def garments_in(sheets: GarmentMesh, skin: np.ndarray, body: BodyModel) -> np.ndarray:
-    """The garment (F,) of every face of ``sheets`` [m] on ``body`` with the ``skin`` [m] (S, 3), 0 next to it."""
+    """Returns the number (F,) of the garment that each face of ``sheets`` [m] belongs to, 0 for the one nearest to the
+    ``skin`` [m] (S, 3) of ``body``.
+    """
     points, faces = sheets.vertices, sheets.faces
     piece, area, bears = bearing_pieces(points, faces)
     own = bears & (area > max(OWN_M2, OWN_SHARE * area.max()))

@@ -37,7 +37,7 @@ class Sitter:
 
 
 def sitter_at_rest(garment: Garment) -> Sitter:
-    """``garment`` as it was delivered, at rest on its body."""
+    """Returns ``garment`` as it was delivered, at rest on its body."""
     own, vertices = garment.surface, garment.drawn_at_rest().astype(np.float64)
     return Sitter(vertices, own.faces.astype(np.int64), own.uv, own.uv_faces, own.face_material, own.looks)
 

@@ -170,7 +170,9 @@ def _start(body: BodyModel, target: _Target, lift_rad: float) -> np.ndarray:
 
 
 def start_parameters(body: BodyModel, lift_rad: float, trans: np.ndarray) -> np.ndarray:
-    """Parameters of the mean shape at ``trans`` [m] (3,), arms ``lift_rad`` below the horizontal."""
+    """Returns the parameters (P,) (``unpack_parameters``) of the mean shape at ``trans`` [m] (3,), with the
+    arms ``lift_rad`` below the horizontal.
+    """
     pose = np.zeros((JOINT_COUNT, 3))
     for side, sign in (("left", -1.0), ("right", 1.0)):
         pose[JOINT_NAMES.index(f"{side}_collar"), 2] = 0.2 * sign * lift_rad

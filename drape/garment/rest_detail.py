@@ -70,7 +70,9 @@ class RestFigures:
 
 
 def doubled_faces(material_names: Sequence[str], face_material: np.ndarray, face_count: int) -> np.ndarray:
-    """Which of the ``face_count`` triangles that subdivision made are of a material called a hem, cuff, collar ..."""
+    """Returns which of the ``face_count`` triangles that subdivision made are of a doubled material, bool
+    (face_count,): one called a hem, cuff, collar or the like.
+    """
     named = np.array([bool(DOUBLED.search(name)) for name in material_names] or [False])
     delivered = named[face_material] if len(named) > face_material.max(initial=0) else face_material < 0
     rounds = face_count // max(len(delivered), 1)
@@ -78,7 +80,9 @@ def doubled_faces(material_names: Sequence[str], face_material: np.ndarray, face
 
 
 def subdivided_like(vertices: np.ndarray, faces: np.ndarray, face_count: int) -> np.ndarray:
-    """``vertices`` [m] (V, 3) of ``faces`` (F, 3) and those of the smooth subdivision into ``face_count`` triangles."""
+    """Returns the vertices [m] (N, 3) of a mesh, ``vertices`` (V, 3) and ``faces`` (F, 3), after its smooth subdivision
+    into ``face_count`` triangles; the old ones come first.
+    """
     while len(faces) < face_count:
         vertices, faces, _ = subdivide_smooth(vertices, faces)
     return vertices

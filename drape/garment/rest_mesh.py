@@ -178,8 +178,9 @@ def edge_strain(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> dic
 
 
 def without_unused(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
-    """``mesh`` without the vertices that no face uses, and for each old vertex (V,) a row of the new mesh: its own, or
-    that of the nearest vertex."""
+    """Returns ``mesh`` without the vertices that no face uses, and for each old vertex (V,) a row of the new mesh: its
+    own, or that of the nearest vertex.
+    """
     used = np.unique(mesh.faces)
     if len(used) == len(mesh.vertices):
         return mesh, np.arange(len(used))
@@ -189,7 +190,7 @@ def without_unused(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
 
 
 def with_unused(garment: Garment, faces: np.ndarray, kept: np.ndarray) -> Garment:
-    """``garment``, made without unused vertices, with these back in their places.
+    """Returns ``garment``, made without unused vertices, with these back in their places.
 
     ``faces`` (F, 3): the delivered triangles; ``kept`` as ``without_unused`` returns it.
     """

@@ -125,8 +125,8 @@ def moved_with_skin(
 def own_skin_weights(
     vertices: np.ndarray, sleeve: np.ndarray, avatar: Avatar, body: BodyModel
 ) -> scipy.sparse.csr_matrix:
-    """``surface_weights`` of a garment: sleeves (``sleeve_of``) have them from the skin of their arm, other cloth from
-    all but arms.
+    """Returns the ``surface_weights`` (V, body V) of a garment: those of sleeves (``sleeve_of``) are taken from the
+    skin of their arm, those of other cloth from all skin but arms.
 
     A hand that hangs beside a skirt is nearer to it than the thigh is, and would take it along.
     """
@@ -169,7 +169,9 @@ def surface_weights(points: np.ndarray, avatar: Avatar, counts: np.ndarray | Non
 
 
 def smoother(vertices: np.ndarray, faces: np.ndarray, length_m: float):
-    """A function that smooths fields (V, C) along the mesh over ``length_m``: (I + length^2 L)^-1, constants kept."""
+    """Returns a function that smooths fields (V, C) along the mesh over ``length_m``: (I + length^2 L)^-1, constants
+    kept.
+    """
     return symmetric_factor(scipy.sparse.identity(len(vertices)) + _laplacian(vertices, faces, length_m)).solve
 
 
@@ -265,8 +267,8 @@ def subdivide_smooth(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarra
 def refine(
     vertices: np.ndarray, faces: np.ndarray, *, at_least: int, at_most: int, edge_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Subdivides until the mesh has a mean edge of ``edge_m`` and ``at_least`` vertices, or half of these where edges
-    are ``DENSE`` of that, but not past ``at_most``.
+    """Subdivides until the mean edge is at most ``edge_m`` [m] and there are ``at_least`` vertices, but not past
+    ``at_most``. Half as many suffice where the mean edge is at most ``DENSE`` times ``edge_m``.
 
     Returns vertices (N, 3), faces (G, 3) and the delivered vertex that each one is nearest to by descent, (N,).
     """

@@ -61,8 +61,9 @@ class Seat:
         return self._head[self._head[:, 2].argmax()]
 
     def way(self, points: np.ndarray, bone: str) -> np.ndarray:
-        """Returns the way [m] (3,) to its seat of a thing with ``points`` [m] (N, 3) that ``bone`` carries; zeros if no
-        seat is known for it."""
+        """Returns the displacement [m] (3,) that brings a thing with ``points`` [m] (N, 3), which ``bone`` carries, to
+        its seat; zeros if no seat is known for it.
+        """
         points = points[:: max(1, len(points) // SEAT_COUNT)]
         if bone.endswith("ankle"):
             return self._round_foot(points)

@@ -32,13 +32,14 @@ SAMPLES = 400
 
 
 def without_copies(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` with vertices that are nearly at one place made one."""
+    """Returns ``mesh`` with vertices that are nearly at one place made one."""
     reach = COPY_SHARE * float(np.ptp(mesh.vertices, axis=0).max())
     return _welded(mesh, KDTree(mesh.vertices).query_pairs(reach, output_type="ndarray"))
 
 
 def without_cracks(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` with vertices of borders that run along each other, much nearer than its edges are long, made one.
+    """Returns ``mesh`` with vertices of borders that run along each other, much nearer than its edges are long, made
+    one.
 
     Panels that were rounded each by itself, as by a compressed file, have cracks between them.
     """
@@ -72,7 +73,7 @@ def branch_edges(faces: np.ndarray) -> int:
 
 
 def cut_branches(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` without edges of more than two faces and without vertices where sheets merely touch.
+    """Returns ``mesh`` without edges of more than two faces and without vertices where sheets merely touch.
 
     Vertices are split, and those of no face left out. Faces keep their order; where two pairs of faces cannot be told
     apart, because they meet again about both ends of their edge, one pair is left out.
@@ -113,7 +114,8 @@ def _split(mesh: GarmentMesh, halves: np.ndarray, first: np.ndarray, second: np.
 
 
 def agreeing(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
-    """``mesh`` with faces that agree with their neighbours, and the middles (C, 3) of edges that were cut for it.
+    """Returns ``mesh`` with faces that agree with their neighbours, and the middles (C, 3) of edges that were cut for
+    it.
 
     Only one-sided (Moebius) sheets have to be cut, across the strip. Edges have at most two faces.
     """
@@ -263,12 +265,12 @@ def main_sheet(mesh: GarmentMesh) -> tuple[GarmentMesh, list[np.ndarray]]:
 
 
 def point_words(point: np.ndarray) -> str:
-    """A point as "(0.12, 1.3, 0.08)"."""
+    """Returns ``point`` (3,) as text such as "(0.12, 1.3, 0.08)"."""
     return f"({', '.join(f'{value:.3g}' for value in point)})"
 
 
 def with_used_vertices(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` without vertices that no face has."""
+    """Returns ``mesh`` without vertices that no face has."""
     used, faces = meshes.in_use(mesh.faces)
     return replace(mesh, vertices=mesh.vertices[used], faces=faces)
 

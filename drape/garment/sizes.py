@@ -107,8 +107,8 @@ def sized_digest(garment: Garment, table: SizeTable, size: str) -> str:
 
 
 def sized(garment: Garment, body: BodyModel, table: SizeTable, size: str) -> Garment:
-    """``garment`` in ``size``, clear of the skin of ``body``, which it was sewn on. It takes seconds, most of them to
-    clear it.
+    """Returns ``garment`` in ``size``, clear of the skin of ``body``, which it was sewn on. It takes seconds, most of
+    them to clear it.
 
     Raises ``MeshError`` where the cloth cannot be brought clear.
     """
@@ -196,7 +196,9 @@ def panels_of(uv: np.ndarray, uv_faces: np.ndarray) -> np.ndarray:
 
 
 def regraded(edges: np.ndarray, uv: np.ndarray, graded: np.ndarray, uv_faces: np.ndarray) -> np.ndarray:
-    """The unstressed ``edges`` [m] (F, 2, 2) of triangles whose panels change from ``uv`` to ``graded`` (T, 2) [m]."""
+    """Returns the unstressed edges [m] (F, 2, 2) of triangles, ``edges`` before, after their panels have changed from
+    ``uv`` to ``graded`` [m] (T, 2).
+    """
     before, after = (
         np.stack(meshes.corner_edges(np.column_stack([at, np.zeros(len(at))]), uv_faces), axis=1)[..., :2]
         for at in (uv, graded)

@@ -62,7 +62,9 @@ def bind_to_body(
 def trunk_and_arm_kernels(
     vertices: np.ndarray, body: BodyModel
 ) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
-    """``body_kernel`` of the skin without arms, and that of the arm on the side of each vertex."""
+    """Returns two matrices of weights (N, body vertices) like ``body_kernel``: one of the skin without arms, and one of
+    the arm on the side of each vertex.
+    """
     arms = [body.weights[:, bones].sum(axis=1) > 0.5 for bones in ARMS.values()]
     left, right = (body_kernel(vertices, body, arm) for arm in arms)
     on_left = (vertices[:, 0] > 0.0).astype(np.float64)
@@ -71,8 +73,12 @@ def trunk_and_arm_kernels(
 
 
 def body_kernel(vertices: np.ndarray, body: BodyModel, counts: np.ndarray | None = None) -> scipy.sparse.csr_matrix:
-    """Sparse rows (N, body vertices) that sum to one: the Gaussian neighbourhood on the body, of the skin that
-    ``counts`` (body V,), if given."""
+    """Returns sparse weights (N, body vertices) of the body vertices near each of ``vertices`` [m] (N, 3), Gaussian in
+    the distance.
+
+    A row sums to one. Only thinned body vertices have weight, and of these only those that ``counts`` (body V,) marks,
+    if it is given.
+    """
     points = thinned_vertices(body)
     points = points if counts is None else points[counts[points]]
     distance, index = nearest_vertices(vertices, body.v_template[points], NEIGHBOURS)
@@ -87,7 +93,9 @@ def body_kernel(vertices: np.ndarray, body: BodyModel, counts: np.ndarray | None
 
 
 def thinned_vertices(body: BodyModel) -> np.ndarray:
-    """Body vertices about ``SAMPLE_SPACING_M`` apart, so that finely meshed parts do not outvote the others."""
+    """Returns the indices (n,) of body vertices about ``SAMPLE_SPACING_M`` apart, so that finely meshed parts do not
+    outvote the others.
+    """
     cell = np.floor(body.v_template / SAMPLE_SPACING_M).astype(np.int64)
     _, first = np.unique(cell, axis=0, return_index=True)
     return np.sort(first)

@@ -28,8 +28,11 @@ UPPER_POINTS = sum(count for name, count, _, start, _ in BONES if name.endswith(
 
 
 def sleeve_of(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, skin: np.ndarray) -> np.ndarray:
-    """Where each vertex [m] (V, 3) of a garment lies on a body with ``joints`` (24, 3) and ``skin`` (N, 3), as (V,)
-    numbers: 1 and 2 in the left and right sleeve, ``SHOULDER`` at the upper ends of both, 0 elsewhere."""
+    """Returns for each of ``vertices`` [m] (V, 3) a number (V,): 1 in the left sleeve, 2 in the right one, ``SHOULDER``
+    at the upper ends of both, and 0 elsewhere.
+
+    The body has ``joints`` [m] (24, 3) and ``skin`` [m] (N, 3).
+    """
     bones = bones_of(joints, skin)
     nearest = enclosed(vertices, bones)[1]
     axis, way = bones.frames[nearest, 2], vertices - bones.at[nearest]

@@ -12,7 +12,8 @@ MOST_SHARE = 0.2  # of the faces: more is no stray
 
 
 def without_strays(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` without pieces that lie more than ``FAR`` extents away from all others; itself where there are none.
+    """Returns ``mesh`` without pieces that lie more than ``FAR`` extents away from all others; itself where there are
+    none.
 
     The piece with the most faces stays, and what lies near it, and what lies near that.
     """

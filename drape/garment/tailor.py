@@ -36,7 +36,9 @@ def tailored_digest(garment: Garment, wearer: BodyModel) -> str:
 
 
 def tailored(garment: Garment, body: BodyModel, wearer: BodyModel) -> Garment:
-    """``garment``, which was made for ``body``, for ``wearer``, a body of the same topology; itself on its own body."""
+    """Returns ``garment``, which was made for ``body``, cut for ``wearer``, a body of the same topology; the garment
+    itself where both are one body.
+    """
     if body.digest == wearer.digest:
         return garment
     faces, standing = garment.fine_faces.astype(np.int64), garment.vertices.astype(np.float64)
@@ -68,8 +70,9 @@ def tailored(garment: Garment, body: BodyModel, wearer: BodyModel) -> Garment:
 
 
 def stretched(edges: np.ndarray, before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The unstressed edges [m] (G, 2, 2) with which triangles have the strain at ``after`` [m] (N, 3) that they have
-    with ``edges`` at ``before``; a row is an edge, as in ``RestState``."""
+    """Returns the unstressed edges [m] (G, 2, 2) that give triangles at ``after`` [m] (N, 3) the strain that they have
+    with the unstressed ``edges`` at ``before``. A row is an edge, as in ``RestState``.
+    """
     columns = np.swapaxes(edges, -1, -2)
     own, other = (_metric(points, faces, columns) for points in (before, after))
     root = _root(own)

@@ -42,9 +42,10 @@ NOTHING_TOLD = ToldReading()
 
 
 def told_reading(meaning: Any) -> tuple[ToldReading, Any]:
-    """What the dictionary ``meaning`` of an avatar tells of the file, and the rest of it, None where nothing is left.
+    """Returns what the dictionary ``meaning`` of an avatar tells of the file, and the rest of the dictionary, None
+    where nothing is left.
 
-    Raises ``BodyError`` for a unit or an axis that is none, and where the body would face along the axis that is up.
+    Raises ``BodyError`` for an unknown unit or axis, and where the body would face along the axis that is up.
     """
     if not isinstance(meaning, dict) or not set(KEYS) & set(meaning):
         return NOTHING_TOLD, meaning

@@ -154,7 +154,7 @@ def _keep_one(weight: np.ndarray, before: np.ndarray) -> np.ndarray:
 
 
 def fit_planes(jet: np.ndarray, flattened: Flattened, local: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """``jet`` (K, 27) with in-plane polynomials that follow ``local`` (N, 4, 3) [m] in the charts laid flat.
+    """Returns ``jet`` (K, 27) with in-plane polynomials that follow ``local`` (N, 4, 3) [m] in the charts laid flat.
 
     Ridge least squares on the departure from the identity, weighed as the blend does.
     """

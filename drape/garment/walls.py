@@ -68,8 +68,9 @@ def outer_sides(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarr
 
 
 def farther(middles: np.ndarray, other: np.ndarray, skin: KDTree) -> np.ndarray:
-    """s (F,) of faces with ``middles`` [m] (F, 3): how much farther from the ``skin`` each is than the face ``other``
-    (F,), over their distance; 0 where that is -1."""
+    """Returns for each face, with its middle at ``middles`` [m] (F, 3), how much farther from the ``skin`` it is than
+    its opposite face ``other`` (F,), divided by the distance of the two: s (F,). It is 0 where ``other`` is -1.
+    """
     height, gap = skin.query(middles)[0], np.linalg.norm(middles - middles[other], axis=1)
     return np.where(other >= 0, (height - height[other]) / np.maximum(gap, SAME_M), 0.0)
 

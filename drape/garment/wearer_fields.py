@@ -71,7 +71,9 @@ BIN_COUNT = 12  # directions round a bone; a point of cloth covers its own and b
 
 @lru_cache(maxsize=2)
 def thin_body(body: BodyModel) -> BodyModel:
-    """``body`` with one vertex for every ``THIN_M`` of skin, in the same shapes and poses, for fits in little time."""
+    """Returns ``body`` with one vertex for every ``THIN_M`` of skin, in the same shapes and poses, for fits in little
+    time.
+    """
     cell = np.floor(body.v_template / THIN_M).astype(np.int64)
     _, first, label = np.unique(cell, axis=0, return_index=True, return_inverse=True)
     faces = label.reshape(-1)[body.faces]
@@ -174,8 +176,9 @@ def bones_of(posed: np.ndarray, skin: np.ndarray) -> Bones:
 
 
 def enclosed(points: np.ndarray, bones: Bones) -> tuple[np.ndarray, np.ndarray]:
-    """How much of the way round its bone lies cloth, in [0, 1], for each of ``points`` [m] (N, 3), and the number (N,)
-    of the point on the bones that it is nearest to."""
+    """Returns for each of ``points`` [m] (N, 3) the share, in [0, 1], of the turn around its bone at which there is
+    cloth, and the number (N,) of the point on the bones that is nearest.
+    """
     frames = bones.frames.astype(np.float32)
     local = (
         points.astype(np.float32) @ frames.transpose(0, 2, 1)

@@ -127,8 +127,12 @@ def one_sided(bones: Bones, nearest: np.ndarray) -> float:
 
 
 def misplaced(points: np.ndarray, bones: Bones, nearest: np.ndarray, piece: np.ndarray) -> float:
-    """The share of the cloth at ``points`` [m] (N, 3), of a ``piece`` each, where none is worn: one piece round limbs
-    of both sides and nothing between them, or what lies on the crown, or several pieces on the head."""
+    """Returns the share, in [0, 1], of the cloth at ``points`` [m] (N, 3) that lies where no garment is worn.
+
+    That is a piece around limbs of both sides with hardly any cloth on the trunk, a piece that lies on top of the
+    crown, and pieces on the head where there are several. ``nearest`` (N,) is the row in ``bones`` nearest to each
+    point, and ``piece`` (N,) the number of its piece.
+    """
     parts = np.array(bones.part)
     side = np.array([part.startswith("left") - 1 * part.startswith("right") for part in parts])[nearest]
     head, crown = parts[nearest] == "head", np.flatnonzero(parts == "head")[-1]

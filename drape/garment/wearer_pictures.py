@@ -15,8 +15,11 @@ SIZE_PX = 224
 
 
 def pictured(wearer: WearerCandidate, mesh: GarmentMesh) -> dict[str, Any]:
-    """The entry of the manifest for ``wearer``, and in it and in each of ``others`` a ``picture``: ``mesh``, as its
-    file has it, on that body, a PNG as base64."""
+    """Returns the manifest's entry for ``wearer`` with pictures.
+
+    The entry and each of its ``others`` get the field ``picture``: ``mesh``, which is in the file's frame, on that
+    body, as a PNG in base64.
+    """
     told = wearer.to_json()
     told["picture"] = _picture(wearer, mesh)
     for entry, other in zip(told["others"], wearer.others, strict=True):

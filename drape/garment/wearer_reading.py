@@ -46,7 +46,7 @@ class Reading:
         return odd + (ODD["facing"] if self.front not in USUAL_FRONTS.get(self.up, ()) else 0.0)
 
     def apply(self, points: np.ndarray) -> np.ndarray:
-        """``points`` (N, 3) of the file in metres, y up, facing +z."""
+        """Returns ``points`` (N, 3) of the file in metres, y up, facing +z."""
         return self.scale * (points @ self.turn.T)
 
 
@@ -58,13 +58,16 @@ def _axis(name: str) -> np.ndarray:
 class WearerCandidate:
     """A body that may have worn a garment, in the frame of ``reading``.
 
-    ``parameters`` as ``unpack_parameters`` takes them; ``energy`` ranks it (0: cloth on the skin all round).
-    ``inside`` is the share of the cloth deeper than 1 cm in the skin, ``open_share`` how much of the way round its
-    bones is bare, ``band_m`` the median distance at the top; ``sleeved`` says whether the cloth shows the arms, and
-    ``fault`` what does not fit. ``origin`` is where the file's is, at the body's "root" or "floor", or "". ``sure`` in
-    [0, 1] falls where another reading fits nearly as well, or the same body higher or lower. ``others`` are nearly as
-    likely. ``among`` ranks bodies of one reading: the energy without cloth that hangs away from the skin, which larger
-    bodies are nearer to, and with how evenly the top lies. Those that fit as well have their skin up to ``slid_m`` off.
+    ``parameters`` are those that ``unpack_parameters`` takes. ``energy`` ranks bodies, 0 for cloth that lies on the
+    skin all round. ``inside`` is the share of the cloth deeper than 1 cm in the skin, and ``open_share`` the share of
+    the turn around its bones that is bare. ``band_m`` is the median distance of the cloth's upper end from the skin,
+    ``sleeved`` says whether the cloth shows the arms, and ``fault`` what does not fit. ``origin`` says where the file's
+    origin is: at the body's "root" or "floor", or elsewhere (""). ``sure``, in [0, 1], is low where another reading, or
+    the same body higher or lower, fits nearly as well. ``others`` are the bodies that are nearly as likely.
+
+    ``among`` ranks the bodies of one reading: it is the energy without cloth that hangs away from the skin, since
+    larger bodies are nearer to that, and with how evenly the upper end lies. Bodies that fit as well have their skin at
+    most ``slid_m`` from this one's.
     """
 
     reading: Reading
@@ -85,7 +88,10 @@ class WearerCandidate:
 
     @property
     def rank(self) -> float:
-        """By which readings compete: cloth that hangs far away counts half, since a train makes no gown a hood."""
+        """The number by which readings are compared; the least is the best.
+
+        Cloth that hangs far away counts half: a train does not make a hood of a gown.
+        """
         return 0.5 * (self.energy + self.among) + (FREE_WORSE if self.reading.unit == "free" else 0.0)
 
     @property
@@ -102,18 +108,18 @@ class WearerCandidate:
 
     @cached_property
     def height_m(self) -> float:
-        """The height of the shape, standing."""
+        """The height [m] of the body, standing."""
         return float(np.ptp(self.body.rest_vertices(self.betas)[:, 1]))
 
     @cached_property
     def arms_deg(self) -> float:
-        """How far the upper arms hang below the horizontal, the mean of both."""
+        """How far [deg] the upper arms hang below the horizontal, the mean of both."""
         joints = self.body.posed_joints(self.pose[None], self.betas)[0]
         return float(np.mean([_drop_deg(joints, side) for side in ("left", "right")]))
 
     @property
     def words(self) -> str:
-        """Such as "a woman of 1.68 m, arms 40 degrees down, decimetres"."""
+        """Returns the body in words, such as "a woman of 1.68 m, arms 40 degrees down, decimetres"."""
         far = {name: float(np.linalg.norm(self.betas[:10] - SHAPES[name])) for name in ("man", "woman")}
         who = "a person" if abs(far["man"] - far["woman"]) < 0.8 else f"a {min(far, key=lambda name: far[name])}"
         names = {"m": "metres", "cm": "centimetres", "dm": "decimetres", "mm": "millimetres", "inch": "inches"}
@@ -137,8 +143,8 @@ class WearerCandidate:
         return self._facts() | {"others": others}
 
     def unlike(self, other: WearerCandidate) -> str:
-        """Returns words for how it differs from ``other`` where ``words`` are alike, such as ", the cloth 9 cm lower";
-        empty if in nothing."""
+        """Returns words for how it differs from ``other`` where the ``words`` of both are alike, such as ", the cloth
+        9 cm lower"; empty if it does not differ."""
         if (self.reading.up, self.reading.front) != (other.reading.up, other.reading.front):
             return f", facing {self.reading.front.lstrip('+')}"
         rise_cm = round(100.0 * float(self.trans[1] - other.trans[1]))

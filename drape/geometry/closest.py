@@ -18,7 +18,9 @@ NEEDLE = 1e-12  # squared sine below which a triangle has no barycentric coordin
 
 
 class ClosestPoints(NamedTuple):
-    """Unsigned ``distance`` [m] (N,), ``face`` (N,), ``barycentric`` (N, 3) and ``point`` [m] (N, 3)."""
+    """The points of a mesh nearest to N points: the unsigned ``distance`` [m] (N,), the ``face`` (N,) that each lies
+    in, its ``barycentric`` coordinates there (N, 3), and the ``point`` itself [m] (N, 3).
+    """
 
     distance: np.ndarray
     face: np.ndarray

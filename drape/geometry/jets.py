@@ -74,7 +74,7 @@ def unpack(jet: Array) -> tuple[Array, Array, Array]:
 
 
 def full(jet: Array) -> Array:
-    """The same jet with 45 coefficients, of (..., 27 or 45)."""
+    """Returns ``jet`` (..., 27 or 45) with 45 coefficients."""
     xp = namespace(jet)
     p, q, h = unpack(jet)
     padding = xp.zeros_like(h[..., p.shape[-1] :])

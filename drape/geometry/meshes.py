@@ -16,7 +16,9 @@ from drape.geometry.rotations import cross
 
 
 def check_faces(faces: np.ndarray, vertex_count: int, *, name: str = "faces") -> np.ndarray:
-    """``faces`` as int64 (F, 3). Raises ``MeshError`` for another shape and for indices outside [0, vertex_count)."""
+    """Returns ``faces`` as int64 (F, 3). Raises ``MeshError`` for another shape and for indices outside [0,
+    vertex_count).
+    """
     faces = np.asarray(faces)
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
         raise MeshError(

@@ -8,7 +8,7 @@ from drape.arrays import Array, namespace
 
 
 def apply(rotation: Array, translation: Array, points: Array) -> Array:
-    """``R x + t`` for points (..., n, 3) under rotations (..., 3, 3) and translations (..., 3)."""
+    """Returns ``R x + t`` for points (..., n, 3) under rotations (..., 3, 3) and translations (..., 3)."""
     xp = namespace(points)
     return points @ xp.matrix_transpose(rotation) + translation[..., None, :]
 

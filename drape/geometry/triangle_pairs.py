@@ -24,10 +24,11 @@ class Pairs(NamedTuple):
 def pairs_within(
     x: np.ndarray, faces: np.ndarray, edges: np.ndarray, reach_m: float
 ) -> tuple[Pairs, np.ndarray, np.ndarray]:
-    """The pairs of ``x`` [m] (V, 3) nearer than ``reach_m`` that share no vertex, with the weights of their corners.
+    """Returns the pairs of points ``x`` [m] (V, 3) nearer than ``reach_m`` that share no vertex, the weights (N, 4) of
+    their corners, and the vectors (N, 3) [m] between the nearest points of each pair.
 
-    ``faces`` (F, 3), ``edges`` (E, 2). The weights (N, 4) make the way (N, 3) [m] between the nearest points of a pair,
-    the third result, of its corners.
+    A pair is a vertex and one of ``faces`` (F, 3), or two of ``edges`` (E, 2). Its vector is the sum of its four
+    corners, each times its weight.
     """
     x, points = np.ascontiguousarray(x, np.float64), np.arange(len(x), dtype=np.int32)[:, None]
     faces, edges = np.ascontiguousarray(faces, np.int32), np.ascontiguousarray(edges, np.int32)
@@ -57,7 +58,11 @@ def near_boxes(x: np.ndarray, first: np.ndarray, second: np.ndarray, reach_m: fl
 
 
 def ways(x: np.ndarray, corner: np.ndarray, triangles: int) -> tuple[np.ndarray, np.ndarray]:
-    """The weights (N, 4) of the corners in the way between the nearest points of each pair, and that way [m] (N, 3)."""
+    """Returns the weights (N, 4) of the corners of each pair, and the vectors (N, 3) [m] between its nearest points,
+    which are the corners' sums by these weights.
+
+    ``corner`` (N, 4) are rows of ``x`` [m] (V, 3), of which the first ``triangles`` are a vertex and a triangle.
+    """
     weights, found = np.empty((len(corner), 4)), np.empty((len(corner), 3))
     call("ways", np.float64, x, corner, len(corner), triangles, weights, found)
     return weights, found

@@ -26,8 +26,11 @@ class PosedJets(Recorded):
 
 @dataclass(frozen=True, eq=False)
 class Tiles(Recorded):
-    """What vertices are made by: the ``scale`` (K,) of the patches, the ``columns`` (Q, 18, 32) of the tiles and the
-    ``patch`` (Q,) of each, and the charts (4, >= V) of the vertices: ``charts`` of 16 bits or ``wide_charts`` of 32."""
+    """The constants from which vertices are blended.
+
+    They are the ``scale`` (K,) [m] of the patches, the ``columns`` (Q, 18, 32) of the tiles and the ``patch`` (Q,) of
+    each, and the charts (4, >= V) of the vertices: ``charts`` of 16 bits or ``wide_charts`` of 32.
+    """
 
     scale: np.ndarray
     columns: np.ndarray
@@ -37,7 +40,7 @@ class Tiles(Recorded):
 
     @classmethod
     def of(cls, garment: PackedGarment) -> Tiles:
-        """Those of ``garment``."""
+        """Returns the tiles of ``garment``."""
         stored, charts, none = garment.stored, garment.vertex_charts, garment.vertex_charts[:0]
         narrow = charts.dtype == np.uint16
         return cls(

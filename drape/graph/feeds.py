@@ -85,7 +85,8 @@ def kinematics(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.
 
 
 def garment_feed(garment: Garment, *, fine: bool = False, body: BodyModel | None = None) -> dict[str, np.ndarray]:
-    """``atlas_feed`` of a garment's delivered vertices, or of all vertices of the subdivided mesh with ``fine``.
+    """Returns ``atlas_feed`` of a garment's delivered vertices, or of all vertices of the subdivided mesh with
+    ``fine``.
 
     ``body``: the one the garment was made for.
     """
@@ -94,15 +95,18 @@ def garment_feed(garment: Garment, *, fine: bool = False, body: BodyModel | None
 
 
 def skinning_feed(garment: Garment, body: BodyModel) -> dict[str, np.ndarray]:
-    """What the paper's variant reads besides ``garment_feed``: ``skin_weights`` (V, 24) of delivered vertices."""
+    """Returns the input that the paper's variant reads besides ``garment_feed``: ``skin_weights`` (V, 24) of delivered
+    vertices.
+    """
     return {"skin_weights": garment.skin_weights(body)[: garment.vertex_count]}
 
 
 def atlas_feed(atlas: Atlas, *, count: int | None = None, skin: Skin | None = None) -> dict[str, np.ndarray]:
-    """Constant graph inputs of a partition, its embedding excepted: ``PatchTensors``, ``ChartTensors`` of the first
-    ``count`` vertices, all by default, and ``AgreementTensors``, with ``patch_slot`` (K, 56) of ``Consensus`` besides.
+    """Returns the constant graph inputs of a partition by name, all but its embedding.
 
-    With the ``skin`` of the body it was made for, the skin near its patches too. A graph takes some of these by name.
+    They are ``PatchTensors``, ``ChartTensors`` of the first ``count`` vertices (all by default), and
+    ``AgreementTensors``, besides ``patch_slot`` (K, 56) of ``Consensus``. With the ``skin`` of the body that the
+    garment was made for, they also hold the skin near its patches. A graph takes some of them by name.
     """
     shapedirs = np.zeros((atlas.patch_count, 3, BETA_COUNT), dtype=np.float32)
     shapedirs[..., : atlas.patch_shapedirs.shape[2]] = atlas.patch_shapedirs

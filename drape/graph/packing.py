@@ -109,7 +109,7 @@ class PackedGarment:
 
     @property
     def bytes(self) -> int:
-        """Memory of all arrays."""
+        """The memory of all arrays [bytes]."""
         indices = [self.heaviest, self.tile_patch, self.vertex_charts, self.anchor_charts, self.member_anchor]
         arrays = [*self.stored.values(), *indices]
         return sum(array.nbytes for array in arrays)
@@ -127,7 +127,9 @@ class Tiling:
     width: int
 
     def lay(self, values: np.ndarray) -> np.ndarray:
-        """``values`` (V, 4, n) of the chart entries as tiles (Q, n, width) float32; zero where no entry lies."""
+        """Returns ``values`` (V, 4, n) of the chart entries as tiles (Q, n, width) float32; zero where no entry
+        lies.
+        """
         tiles = np.zeros((len(self.patch) * self.width, values.shape[-1]), dtype=np.float32)
         tiles[self.column.reshape(-1)] = values.reshape(-1, values.shape[-1])
         laid = tiles.reshape(len(self.patch), self.width, -1).transpose(0, 2, 1)
@@ -278,7 +280,7 @@ class Composition:
 
     @property
     def bytes(self) -> int:
-        """Memory of the index tensors."""
+        """The memory of the index tensors [bytes]."""
         return sum(array.nbytes for array in self.arrays.values())
 
 

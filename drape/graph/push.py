@@ -19,10 +19,11 @@ _LOGITS = np.log(np.arange(OTHER_STEPS + 1) / OTHER_STEPS + OTHER_LEAST)  # of s
 
 @dataclass(frozen=True, eq=False)
 class PushConstants:
-    """The constants with which the engine pushes a garment: its ``feed``, contiguous, and ``logits`` (256,), by how
-    much samples belong to other parts.
+    """The constants with which the engine pushes a garment.
 
-    Of a garment over others also what their samples are made of, as in ``LayerFeed``.
+    They are its ``feed``, contiguous, and ``logits`` (256,): the logit for each share to which a sample belongs to
+    another part. A garment over others also has the ``region``, ``cloth_member`` and ``cloth_rows`` of a ``LayerFeed``;
+    these are empty for others.
     """
 
     feed: PushFeed
@@ -42,7 +43,7 @@ class PushConstants:
 
     @property
     def bytes(self) -> int:
-        """Memory of all arrays."""
+        """The memory of all arrays [bytes]."""
         return sum(one.nbytes for one in (*self.feed.flat().values(), self.region, self.cloth_member, self.cloth_rows))
 
 
@@ -57,9 +58,9 @@ def push_frames(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Pushes ``vertices`` [m] (F, V, 3), frame by frame, out of the bodies with the samples ``skin`` (F, R, 12, 8).
 
-    Returns the pushed vertices, the way [m] (F, V) of each, and ``coefficients`` (F, K, 3, 10) and ``left_m`` (F,) of
-    ``Pushed``, which hold only for ``jets``. A garment over others is pushed out of these too; ``under`` [m] (F, U, 3)
-    are their pushed vertices.
+    Returns the pushed vertices, how far [m] (F, V) each moved, and ``coefficients`` (F, K, 3, 10) and ``left_m`` (F,)
+    of ``Pushed``, which hold only for ``jets``. A garment over others is pushed out of these too; ``under`` [m] (F, U,
+    3) are their pushed vertices.
     """
     kind, (frames, count) = constants.feed.patch_fit.dtype, vertices.shape[:2]
     pushed, way = np.empty((frames, count, 3), kind), np.empty((frames, count), kind)

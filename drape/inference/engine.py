@@ -224,7 +224,9 @@ class Engine:
         return Session(session, device)
 
     def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
-        """``array`` where the graphs compute; on the CPU it shares the array's memory."""
+        """Returns ``array`` in the memory of the device where the graphs compute; on the CPU it shares the array's
+        memory.
+        """
         return self._device.value(array)
 
 

@@ -45,7 +45,9 @@ class Device:
         return flushed()
 
     def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
-        """``array`` where the graphs compute; on the CPU it shares the array's memory."""
+        """Returns ``array`` in the memory of the device where the graphs compute; on the CPU it shares the array's
+        memory.
+        """
         import onnxruntime
 
         return onnxruntime.OrtValue.ortvalue_from_numpy(array, self.provider)

@@ -122,7 +122,10 @@ class Packer:
         return self._kept_bytes
 
     def add(self, key: str, garment: Garment, feed: dict[str, np.ndarray] | None = None) -> None:
-        """Encodes ``garment`` and puts it in store under ``key``; ``feed`` is its ``garment_feed`` on this body."""
+        """Encodes ``garment`` and stores it under ``key``.
+
+        ``feed``: what ``garment_feed`` returns of it with this packer's body, which is computed if it is None.
+        """
         if feed is None:
             feed = garment_feed(garment, body=self._body if self._engine.feels_body else None)
         packed = pack_garment(feed, self._engine.first(garment))  # frames wait for the lock, and not for this

@@ -59,13 +59,13 @@ def cut(
     instead: Mapping[str, str] | None = None,
     given: Collection[str] = (),
 ) -> bytes:
-    """``model`` with only ``outputs`` (in this order) and what they need of its inputs, nodes and initialisers.
+    """Returns ``model`` with only ``outputs`` (in this order) and what they need of its inputs, nodes and initialisers.
 
-    ``direct`` names index inputs whose Gathers (on axis 0) are left out: what they pick from is used
-    whole, as if the index were 0, 1, 2, ... ``instead``: values that are read in place of others, by the
-    names of these; each must be computed before what reads it. ``given``: outputs of the model that become inputs, with
-    what only makes them left out. Raises ``ArtifactError`` for an output or
-    a value that the model does not have, bytes that are no ONNX model, and nodes that hold graphs of their own.
+    ``direct`` names index inputs whose Gathers (on axis 0) are left out: what they pick from is used whole, as if the
+    index were 0, 1, 2, ... ``instead``: values that are read in place of others, by the names of these; each must be
+    computed before what reads it. ``given``: outputs of the model that become inputs, with what only makes them left
+    out. Raises ``ArtifactError`` for an output or a value that the model does not have, bytes that are no ONNX model,
+    and nodes that hold graphs of their own.
     """
     try:
         fields = list(fields_of(model))

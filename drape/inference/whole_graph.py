@@ -41,7 +41,7 @@ class WholeGraph:
 
     @property
     def held_bytes(self) -> int:
-        """Memory of the garments' constants."""
+        """The memory of the garments' constants [bytes]."""
         feeds = [feed for key, feed in self._feeds.items() if key not in self._worn]
         return sum(array.nbytes for feed in feeds for array in feed.values())
 
@@ -78,7 +78,7 @@ class WholeGraph:
             del self._garments[key], self._feeds[key]
 
     def prepare(self, plan: ScenePlan, *, skin_given: bool, shapes: bool) -> None:
-        """Nothing: the one session is open."""
+        """Does nothing: the one session is open already."""
 
     def run(self, plan: ScenePlan, bodies: Mapping[str, np.ndarray], items: Sequence[Item]) -> list[Result]:
         """Results of ``items``, in their order; ``bodies`` as ``Packer.run`` takes them."""

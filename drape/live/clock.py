@@ -21,9 +21,12 @@ _FLOAT64 = np.dtype(np.float64)
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A frame as it comes: the network's ``vertices`` [m] (V, 3), the samples of the posed ``skin`` (S, 8) as of
-    ``drape.contact.samples.sample_table`` and the scene's ``colliders`` (M, 16), all from the same origin, and the time
-    [s] by the client's clock."""
+    """One frame as it comes in.
+
+    ``vertices`` [m] (V, 3) are the network's; ``skin`` (S, 8) are the samples of the posed skin, as
+    ``drape.contact.samples.sample_table`` has them; ``colliders`` (M, 16) are the scene's. All count from the same
+    origin. ``time_s`` [s] is by the client's clock.
+    """
 
     vertices: np.ndarray
     skin: np.ndarray
@@ -31,7 +34,7 @@ class Frame:
     colliders: np.ndarray = field(default_factory=NONE.copy)
 
     def around(self, dtype: np.dtype) -> Surroundings:
-        """What is around the cloth, its skin of ``dtype``."""
+        """Returns the surroundings of the cloth, its skin as floats of ``dtype``."""
         return Surroundings(writable(self.skin, dtype), writable(self.colliders, _FLOAT64))
 
 
@@ -43,7 +46,9 @@ def writable(array: np.ndarray, dtype: np.dtype) -> np.ndarray:
 
 
 class Surroundings(NamedTuple):
-    """What cloth does not pass through: the samples of the ``skin`` (S, 8) and the scene's ``colliders`` (M, 16)."""
+    """The surroundings that cloth does not pass through: the samples of the ``skin`` (S, 8) and the scene's
+    ``colliders`` (M, 16).
+    """
 
     skin: np.ndarray
     colliders: np.ndarray
@@ -65,7 +70,7 @@ class FrameMemory:
         return 0.0 <= time_s - self.time_s <= PAUSE_S
 
     def at(self, time_s: float) -> Self:
-        """The same at another time [s]."""
+        """Returns the same memory at another time [s]."""
         return replace(self, time_s=time_s)
 
 

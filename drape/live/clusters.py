@@ -16,9 +16,10 @@ LANDMARKS = 6  # the ways along the cloth to so many vertices tell where on it a
 
 
 def clusters(graph: scipy.sparse.csr_array) -> np.ndarray:
-    """The vertices (C, ``LANES``) int32 of each cluster; ``graph`` (V, V) has the lengths [m] of the cloth's edges.
+    """Returns the vertices (C, ``LANES``) int32 of each cluster; ``graph`` (V, V) has the lengths [m] of the cloth's
+    edges.
 
-    The cloth is halved again and again by the ways to landmarks. A cluster that is not full repeats a vertex.
+    The cloth is halved again and again by distances along it to landmarks. A cluster that is not full repeats a vertex.
     """
     count = len(graph.indptr) - 1
     ways, nearest, landmark = np.empty((count, LANDMARKS)), np.full(count, np.inf), 0

@@ -132,7 +132,7 @@ def fold_constants(garment: Garment, body: BodyModel, fabric: Fabric | None = No
 
 
 def worn_cloth(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> WornCloth:
-    """The delivered mesh of ``garment`` on ``body``, made of ``fabric`` or else its own."""
+    """Returns the delivered mesh of ``garment`` as cloth on ``body``, made of ``fabric`` or else of its own."""
     count = garment.vertex_count
     vertices, faces = garment.vertices[:count].astype(np.float64), garment.faces.astype(np.int64)
     cloth = ClothMesh.of(garment.delivered_rest(), faces, count)
@@ -140,7 +140,9 @@ def worn_cloth(garment: Garment, body: BodyModel, fabric: Fabric | None = None) 
 
 
 def worn_mesh(cloth: ClothMesh, vertices: np.ndarray, body: BodyModel, fabric: Fabric) -> WornCloth:
-    """``cloth`` of ``fabric`` whose ``vertices`` [m] (V, 3) are where they are on ``body`` at rest."""
+    """Returns ``cloth`` as it is worn on ``body``, made of ``fabric``; ``vertices`` [m] (V, 3) are its places at
+    rest.
+    """
     skin = body_skin(body)
     index = nearest_at_rest(vertices, skin)
     held = leash_n_per_m(vertices, cloth.vertex_area, skin, index)

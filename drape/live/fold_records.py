@@ -36,9 +36,9 @@ def fold_records(
 
 
 def shape_feed(body: BodyModel, betas: np.ndarray | None = None) -> BodyFeed:
-    """What poses ``body`` in the shape ``betas``; pose and motion are the client's.
+    """Returns the constants that pose ``body`` in the shape ``betas``; pose and motion are the client's.
 
-    Refuses (``BodyError``) one with pose blend shapes.
+    Refuses (``BodyError``) a body with pose blend shapes.
     """
     skin, none = body_skin(body).on_bones(body, betas), np.zeros(0, np.float32)
     rows = np.asarray(skin.rows)

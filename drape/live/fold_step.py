@@ -182,10 +182,10 @@ def memory_of(time_s: float, after: FoldArrays, turn: int, left: Record) -> Fold
 def framed(
     call: FoldCall, frame: Frame, effort: FoldEffort, by: Compute | None = None
 ) -> tuple[np.ndarray, Any, FoldReport]:
-    """Runs ``call`` for ``frame``, ``by`` the engine or what does as it does. Returns the vertices [m] (V, 3), the
-    memory for the next frame, and a report.
+    """Computes ``call`` for ``frame``. Returns the vertices [m] (V, 3), the memory for the next frame, and a report.
 
-    Where no fold came out, even without a past, the vertices are the network's.
+    ``by`` is what computes it, the engine by default. Where no fold came out, even without a past, the vertices are the
+    network's.
     """
     dtype = call.after.arrays[0].dtype
     vertices, around = np.ascontiguousarray(frame.vertices, dtype), frame.around(dtype)

@@ -47,8 +47,11 @@ class SheetNeighbours(NamedTuple):
 
 
 def sheet_neighbours(cloth: ClothMesh) -> SheetNeighbours:
-    """The lists of ``cloth``: all vertices so near over its edges at rest that ``FOLDED`` of the way is within
-    ``ROOM_M``, and the ends of every edge."""
+    """Returns for each vertex of ``cloth`` the vertices near it along the edges at rest, as a ``SheetNeighbours``.
+
+    A vertex is listed if ``FOLDED`` times its distance along the edges is at most ``ROOM_M``, and also if an edge joins
+    the two.
+    """
     first, second = rest_edges(cloth).transpose(1, 0, 2)
     length = np.linalg.norm(np.concatenate([first, second - first, second]), axis=-1)
     ends = np.concatenate([cloth.faces[:, [0, 1]], cloth.faces[:, [1, 2]], cloth.faces[:, [0, 2]]])
@@ -88,10 +91,11 @@ def _bounds(
 def reached(
     start: np.ndarray, other: np.ndarray, length: np.ndarray, most: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where each vertex's list begins (V + 1,), the lists of what is within ``most`` [m] over edges of ``length``, and
-    the ways there; the ends of a vertex's own edges count however long these are.
+    """Returns the lists of vertices within ``most`` [m] of each vertex, measured along edges: where each list begins (V
+    + 1,), the vertices, and their distances [m].
 
-    The edges of vertex v are ``start[v]`` to ``start[v + 1]`` of ``other`` and ``length``.
+    The ends of a vertex's own edges are listed however long these are. The edges of vertex v are ``start[v]`` to
+    ``start[v + 1]`` of ``other`` and ``length``.
     """
     given = (
         *(np.ascontiguousarray(each, np.int32) for each in (start, other)),

@@ -28,7 +28,7 @@ class SkinGraph(NamedTuple):
     rest: np.ndarray
 
     def of_type(self, dtype: type[np.floating]) -> SkinGraph:
-        """The same with floats of ``dtype``."""
+        """Returns the same graph with floats of ``dtype``."""
         return self._replace(reach_m2=self.reach_m2.astype(dtype), rest=self.rest.astype(dtype))
 
 
@@ -48,8 +48,9 @@ def nearest_at_rest(vertices: np.ndarray, skin: Samples) -> np.ndarray:
 
 
 class TouchedSamples(NamedTuple):
-    """The sample ``own`` (P,) that the network has each place at, and ``other`` (P,), one of another part near it or
-    -1."""
+    """For each of P places the skin sample ``own`` that the network's drape has it at, and the sample ``other`` of
+    another part of the body near it, -1 where there is none. Both are (P,).
+    """
 
     own: np.ndarray
     other: np.ndarray

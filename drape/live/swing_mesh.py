@@ -1,5 +1,5 @@
 """The coarse mesh on which cloth swings: nodes spread evenly along the cloth, triangles between them, and weights that
-move the vertices by the nodes' ways.
+move the vertices by the nodes' displacements.
 
 A node is a vertex of the garment. Distances are along the cloth at rest: the shortest way over edges and over the
 diagonals of two triangles laid flat. Every vertex belongs to its nearest node. A triangle of the garment whose corners
@@ -37,8 +37,8 @@ class SwingMesh(NamedTuple):
     that may move, from those next to held ones outwards. The coarse triangles of node i are rows ``start[i]`` to
     ``start[i + 1]`` of ``other`` (n, 2), the two other corners, and ``slope`` (n, 5): their slopes along both axes
     [1/m], and the area [m^2]. ``pull_start`` (N + 1,), ``pull_node``, ``pull`` [N/m]: rows of the matrix by which
-    weight pulls nodes back. ``weight_node`` (V, ``SHARED``), ``weight``: the shares of the nodes' ways by which each
-    vertex moves. ``rows`` has nodes and triangles once more, in blocks.
+    weight pulls nodes back. ``weight_node`` (V, ``SHARED``), ``weight``: the nodes that move each vertex, and its share
+    of each node's displacement. ``rows`` has nodes and triangles once more, in blocks.
     """
 
     vertex: np.ndarray
@@ -59,9 +59,10 @@ class SwingMesh(NamedTuple):
 def swing_mesh(
     cloth: ClothMesh, material: Material, rest: np.ndarray, held: np.ndarray, *, dtype: type[np.floating] = np.float32
 ) -> SwingMesh | None:
-    """The coarse mesh of ``cloth`` of ``material`` that lies at ``rest`` [m] (V, 3), floats of ``dtype``.
+    """Returns the coarse mesh of ``cloth`` of ``material`` that lies at ``rest`` [m] (V, 3), floats of ``dtype``.
 
-    ``held`` (V,): which vertices never swing. None where all are held, or none is that cloth could hang from.
+    ``held`` (V,) says which vertices never swing. Returns None where all are held, or none: cloth that nothing holds
+    does not hang.
     """
     graph = along_cloth(cloth)
     chosen, ways = _spread(graph, rest)

@@ -24,7 +24,7 @@ SWING_HZ = 1.5  # frequency at which damping in proportion to mass equals the fa
 
 @dataclass(frozen=True, eq=False)
 class SwingConstants(Recorded):
-    """What the engine reads of a garment in a fabric.
+    """The constants that the engine reads of a garment in a fabric.
 
     The coarse ``mesh``; the skin's ``graph`` and the sample ``index`` (N,) nearest to each node at rest; the fabric's
     stiffness [N/m] and damping [1/s]; ``held`` (N,): the share of the hold near the skin that each node has.
@@ -39,7 +39,7 @@ class SwingConstants(Recorded):
 
     @property
     def nbytes(self) -> int:
-        """Memory of the mesh."""
+        """The memory of the mesh [bytes]."""
         return array_bytes(tuple(self.mesh)) + self.index.nbytes + self.held.nbytes
 
 

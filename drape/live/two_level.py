@@ -49,14 +49,15 @@ LEAST = 700  # vertices of the coarse cloth: a sock is small, and round
 
 @dataclass(frozen=True, eq=False)
 class TwoLevelMemory:
-    """What a frame leaves: the memory of the ``coarse`` cloth, and the ``fine`` places [m] (P, 3), none of them after a
-    lift."""
+    """The memory that a frame leaves: that of the ``coarse`` cloth, and the ``fine`` places [m] (P, 3), (0, 3) after a
+    lift.
+    """
 
     coarse: FoldMemory
     fine: np.ndarray
 
     def at(self, time_s: float) -> TwoLevelMemory:
-        """The same at another time [s]."""
+        """Returns the same memory at another time [s]."""
         return replace(self, coarse=self.coarse.at(time_s))
 
 
@@ -71,7 +72,7 @@ class OneLevel:
 
     @property
     def nbytes(self) -> int:
-        """Memory of the arrays."""
+        """The memory of the arrays [bytes]."""
         return self.constants.nbytes
 
     @property
@@ -87,7 +88,9 @@ class OneLevel:
     def fold(
         self, memory: Memory | None, frame: Frame, effort: FoldEffort, by: Compute | None = None
     ) -> tuple[np.ndarray, FoldMemory, FoldReport]:
-        """``fold_step.fold``. A memory that two levels have left counts as none."""
+        """Returns the vertices [m] (V, 3) of ``frame`` with their folds, the memory for the next frame, and a report,
+        as ``fold_step.fold`` does. A memory that two levels have left counts as none.
+        """
         return framed(self.call(memory, frame.time_s, effort), frame, effort, by)
 
     def call(self, memory: Memory | None, time_s: float, effort: FoldEffort) -> FoldCall:
@@ -109,7 +112,7 @@ class TwoLevel:
 
     @property
     def nbytes(self) -> int:
-        """Memory of the arrays."""
+        """The memory of the arrays [bytes]."""
         return array_bytes(self.levels)
 
     def own(self, memory: Memory) -> np.ndarray:
@@ -121,8 +124,11 @@ class TwoLevel:
     def fold(
         self, memory: Memory | None, frame: Frame, effort: FoldEffort, by: Compute | None = None
     ) -> tuple[np.ndarray, TwoLevelMemory | LiftMemory, FoldReport]:
-        """``fold_two_level``; or ``lifted_alone``, if there are neither steps nor folds of before that fade. A memory
-        that one level has left counts as none."""
+        """Returns the vertices [m] (V, 3) of ``frame``, the memory for the next frame, and a report.
+
+        They are those of ``fold_two_level``; or of ``lifted_alone``, if there are no steps and no earlier folds that
+        fade. A memory that one level has left counts as none.
+        """
         if self.begins(memory, effort):
             return fold_two_level(self, memory, frame, effort, by)
         return framed(self.call(memory, frame.time_s, effort), frame, effort, by)

@@ -21,10 +21,11 @@ BORDER, OTHERS = -1, -2  # in ``Tangles.across``: nothing is across the edge; it
 class Tangles(NamedTuple):
     """The triangles of a cloth in C clusters of ``LANES``.
 
-    ``corner`` (3 C ``LANES``,): three rows a cluster, places of the corners; ``across``: as many rows, the place across
-    each edge, the first being that from the first to the second corner, ``BORDER`` where there is none. Every edge
-    counts for one of its triangles, and has ``OTHERS`` in the other one. Clusters that are not full repeat a triangle.
-    ``beside[start[a] : start[a + 1]]`` are cluster a and those behind it that share a corner with it.
+    ``corner`` (3 C ``LANES``,) are the places of the corners, three rows for each cluster. ``across`` has as many rows:
+    the place across each edge, the first edge being that from the first to the second corner; ``BORDER`` where there is
+    no triangle across. Every edge counts for one of its two triangles, and has ``OTHERS`` in the other one. Clusters
+    that are not full repeat a triangle. ``beside[start[a] : start[a + 1]]`` are cluster a and the clusters behind it
+    that share a corner with it.
     """
 
     corner: np.ndarray

@@ -126,7 +126,6 @@ def stiffness_factor(cloth: ClothMesh, material: Material, band_n_per_m: np.ndar
             dtype
         ),
         inverse=(1.0 / lu.U.diagonal()).astype(dtype),
-        stages=NO_STAGES._replace(value=np.zeros(0, dtype)),
     )
 
 

@@ -198,7 +198,7 @@ def fault(path: Path, number: int, expected: str, got: str, cure: str = "Export 
 
 
 def parse_numbers(path: Path, number: int, words: Sequence[str], *, count: int, what: str) -> list[float]:
-    """``count`` finite numbers of a line."""
+    """Returns the ``count`` finite numbers in ``words`` of a line; refuses any other line."""
     if len(words) != count:
         raise fault(path, number, f"{count} numbers for {what}", str(len(words)))
     try:

@@ -84,7 +84,7 @@ class MotionClip:
         return replace(self, poses=poses, trans=trans, fps=fps)
 
     def window(self, start: int, count: int) -> MotionClip:
-        """``count`` consecutive frames from ``start``; refused if they run out of the clip."""
+        """Returns ``count`` consecutive frames from ``start``; refused if they run out of the clip."""
         if start < 0 or count < 1 or start + count > self.frame_count:
             raise MotionError(
                 "window",
@@ -138,7 +138,7 @@ def clean_windows(clip: MotionClip, length: int, *, stride: int = 1) -> list[int
 
 
 def clean_starts(flagged: np.ndarray, length: int, *, stride: int = 1) -> np.ndarray:
-    """``clean_windows`` of a clip whose ``flagged_steps`` are at hand."""
+    """Returns the starts (n,) that ``clean_windows`` finds, from the ``flagged_steps`` (F - 1,) of a clip."""
     for name, value in (("length", length), ("stride", stride)):
         if value < 1:
             raise MotionError(name, expected="1 or more frames", got=str(value), cure=f"Choose a positive {name}.")

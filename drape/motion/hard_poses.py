@@ -31,11 +31,10 @@ class HardPoses:
 
 
 def hard_poses(clips: Sequence[MotionClip], body: BodyModel, count: int) -> HardPoses:
-    """``count`` poses of ``clips``: each the farthest from the T-pose and from those before it.
+    """Returns ``count`` poses of ``clips``: each the farthest from the T-pose and from those before it.
 
-    Distance is between the rotation matrices of the body's joints. The root keeps its
-    rotation; frames that lean over by more than 45 degrees, lie in a flagged window, or
-    where the body cuts into itself are passed over.
+    Distance is between the rotation matrices of the body's joints. The root keeps its rotation; frames that lean over
+    by more than 45 degrees, lie in a flagged window, or where the body cuts into itself are passed over.
     """
     pool, labels = _pool(clips)
     if len(pool) < count:

@@ -164,7 +164,7 @@ def _trunk(parents: Sequence[int], found: dict[str, int]) -> list[int]:
 
 
 def ancestors(parents: Sequence[int], joint: int) -> list[int]:
-    """``joint`` and what carries it, up to the root."""
+    """Returns ``joint`` and the joints that carry it, up to the root."""
     chain = []
     while joint >= 0:
         chain.append(joint)

@@ -49,7 +49,7 @@ def file_bytes(path: Path) -> bytes:
 
 
 def check_node_count(frames: int, nodes: int, label: str) -> None:
-    """Refuses (``MotionError``) more frames of so many nodes than are read."""
+    """Refuses (``MotionError``) a motion whose frames and nodes are more than are read."""
     if frames * nodes > MOST_MATRICES:
         raise MotionError(
             f"{label}: animation",

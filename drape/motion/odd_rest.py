@@ -114,9 +114,12 @@ def tips_of(rest: np.ndarray, parents: Sequence[int], sources: Mapping[str, int]
 
 
 def turn_tips(turned: np.ndarray, tips: Mapping[str, np.ndarray], alignment: np.ndarray, odd: set[str]) -> set[str]:
-    """Turns joints in ``turned`` (F, 24, 3, 3) and ``alignment`` (24, 3, 3) as their ``tips`` lie; returns their names.
+    """Turns feet, toes, hands and head to where their ``tips`` point, in place; returns the names of the joints that it
+    turned.
 
-    Those of limbs that are not ``odd`` stay, unless no person holds them so at rest and through the clip.
+    ``turned`` (F, 24, 3, 3) are world rotations and ``alignment`` (24, 3, 3) those from the T-pose to the rest pose. A
+    joint that is not ``odd`` is left as it is, unless it is held both at rest and through the clip as no person holds
+    it.
     """
     turned_limbs = set()
     for name, tip in tips.items():

@@ -74,7 +74,7 @@ def local_rotations(rotations: np.ndarray, parents: Sequence[int]) -> np.ndarray
 
 
 def euler_to_matrix(angles_rad: np.ndarray, axes: str) -> np.ndarray:
-    """``R_axes[0] R_axes[1] ...`` (..., 3, 3) of angles (..., n) about the axes, as "ZXY"."""
+    """Returns ``R_axes[0] R_axes[1] ...`` (..., 3, 3) of angles (..., n) about the axes, as "ZXY"."""
     matrix = np.broadcast_to(np.eye(3), (*angles_rad.shape[:-1], 3, 3))
     for column, axis in enumerate(axes):
         rotvec = np.zeros((*angles_rad.shape[:-1], 3))

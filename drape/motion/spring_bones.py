@@ -77,19 +77,23 @@ def step(
 
 
 def on_sphere(points: np.ndarray, head: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """``points`` (..., E, 3) as far from the ``head`` as ``rest`` is."""
+    """Returns ``points`` (..., E, 3) moved so that each is as far from its ``head`` as ``rest`` is."""
     way, length = points - head, np.linalg.norm(rest - head, axis=-1, keepdims=True)
     return head + way * (length / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-12))
 
 
 def push_out_of_line(points: np.ndarray, start: np.ndarray, end: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """``points`` (..., 3) at least ``reach`` (...) away from the line between ``start`` and ``end`` (3,)."""
+    """Returns ``points`` [m] (..., 3), moved where needed to be at least ``reach`` [m] (...) away from the line between
+    ``start`` and ``end`` (3,).
+    """
     way, off = nearest_off(points, start, end)
     return points + np.maximum(reach - off, 0.0)[..., None] * way
 
 
 def nearest_off(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit ways (..., 3) from the nearest point between ``start`` and ``end`` to ``points``, and distances (...)."""
+    """Returns unit vectors (..., 3) to ``points`` [m] (..., 3) from the nearest point of the line between ``start`` and
+    ``end`` (3,), and the distances [m] (...).
+    """
     line = end - start
     along = np.clip(((points - start) * line).sum(axis=-1) / np.maximum((line * line).sum(axis=-1), 1e-12), 0.0, 1.0)
     way = points - start - along[..., None] * line

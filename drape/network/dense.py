@@ -61,7 +61,7 @@ class Rows(NamedTuple):
 
 
 def run_layer(made: Layer, inputs: Rows, outputs: Rows, added: Rows | None = None) -> None:
-    """Writes the layer ``made`` of ``inputs``, plus what is ``added``, to ``outputs``."""
+    """Applies the layer ``made`` to ``inputs``, adds ``added`` if given, and writes the sums to ``outputs``."""
     blocks = len(inputs.values) // (LANES * inputs.count)
     more = (np.empty(0, made.weight.dtype), 0) if added is None else (added.values, added.count)
     call_with_scratch("layer", made.weight.dtype, made, *inputs, *more, *outputs, blocks)

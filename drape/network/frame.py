@@ -48,10 +48,13 @@ class FrameParts(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FrameGarment:
-    """What drapes a garment: the network's ``weights`` with so many ``passes``, the garment's ``patches`` and
-    ``tiles``, its ``swing`` by a ``share``, and its ``folds`` by ``efforts``, of which the second is for novel poses;
-    ``kept``: the poses that the network was trained on. None: no such part. It has ``vertex_count`` vertices, whose
-    coordinates get steps from 0 to ``step_count``."""
+    """The constants that drape a garment.
+
+    They are the network's ``weights`` with the number of its ``passes``, the garment's ``patches`` and ``tiles``, its
+    ``swing`` by a ``share``, and its ``folds`` by ``efforts``, of which the second is for novel poses; ``kept`` are the
+    poses that the network was trained on. A part that is None does not exist. The garment has ``vertex_count``
+    vertices, whose coordinates get steps from 0 to ``step_count``.
+    """
 
     weights: Weights
     passes: int

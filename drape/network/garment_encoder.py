@@ -14,8 +14,11 @@ from drape.network.weights import parameter_layers
 
 
 class EncoderLayers(NamedTuple):
-    """Statistics of patch features, both parts of the encoder, and what decoding begins with. Its layers have no tiles:
-    a garment is encoded once."""
+    """The constants of the encoder: statistics of patch features, the layers of its two parts, and the first layer of
+    decoding.
+
+    Its layers have no tiles: a garment is encoded once.
+    """
 
     mean: np.ndarray
     inverse_deviation: np.ndarray

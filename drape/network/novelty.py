@@ -15,8 +15,12 @@ from drape.network.dense import Layer, body_layer
 
 @dataclass(frozen=True, eq=False)
 class KeptPoses(Recorded):
-    """A ``PoseSupport``: for each part a layer that gives |k|^2 - 2 k.x of its kept poses k, how many these are, the
-    ``entry`` of a pose's matrices that each number is, and what the square of a distance is divided by."""
+    """A ``PoseSupport`` as the engine reads it.
+
+    For each part ``parts`` has a layer that gives |k|^2 - 2 k.x for each kept pose k, and ``counts`` how many poses are
+    kept. ``entry`` says which entry of a pose's matrices each input of the layers is, and ``over`` is what the square
+    of a distance is divided by.
+    """
 
     parts: tuple[Layer, ...]
     counts: np.ndarray
@@ -35,7 +39,7 @@ def kept_poses(support: PoseSupport) -> KeptPoses:
 
 
 def novelty(kept: KeptPoses, poses: np.ndarray) -> np.ndarray:
-    """How unlike training each of ``poses`` (F, 24, 3) [rad] is, (F,): above 1 it is outside."""
+    """Returns how unlike training each of ``poses`` (F, 24, 3) [rad] is, (F,): above 1 it is farther than it may be."""
     matrices, found = joint_rotations(poses)[1].astype(np.float32), np.empty(len(poses), np.float32)
     call_with_scratch("novelty", np.float32, kept, matrices, len(poses), found)
     return found

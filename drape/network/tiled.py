@@ -13,8 +13,9 @@ _LINE = 16  # numbers of 32 bits in a line of the cache
 
 
 def tiles_of(weight: np.ndarray) -> np.ndarray:
-    """``weight`` (outputs, inputs) as tiles, flat uint32: of each ``GROUP`` of outputs and ``INPUTS``, both filled up
-    with zeros, two tiles of what halves lack and two of the halves."""
+    """Returns ``weight`` (outputs, inputs) as tiles, flat uint32: of each ``GROUP`` of outputs and ``INPUTS``, both
+    filled up with zeros, two tiles of what halves lack and two of the halves.
+    """
     missing = [(0, -size % whole) for size, whole in zip(weight.shape, (GROUP, INPUTS), strict=True)]
     groups = np.pad(weight, missing).astype(np.float32)
     groups = groups.reshape(-1, 2, LANES, groups.shape[1] // INPUTS, INPUTS).transpose(0, 3, 1, 2, 4)

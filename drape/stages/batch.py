@@ -267,19 +267,21 @@ class Batch:
 
 
 def changed(record: Record, **values: Any) -> Record:
-    """``dataclasses.replace`` in a tenth of its time, for records without slots that check nothing when made."""
+    """Returns ``record`` with other ``values``, as ``dataclasses.replace`` does but in a tenth of its time. It is for
+    records without slots that check nothing when made.
+    """
     made = object.__new__(type(record))
     vars(made).update(vars(record), **values)
     return made
 
 
 def stacked(arrays: Sequence[np.ndarray]) -> np.ndarray:
-    """``arrays`` of frames as one (F, ...); that of one frame is not copied."""
+    """Returns ``arrays`` of frames as one (F, ...); the array of a single frame is not copied."""
     return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)
 
 
 def concatenated(parts: Sequence[np.ndarray | None], axis: int = 1) -> np.ndarray:
-    """``parts`` one after the other; one alone is itself."""
+    """Joins ``parts`` along ``axis``, without those that are None. If one is left, it is returned as it is."""
     arrays = [part for part in parts if part is not None]
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=axis)
 

@@ -119,10 +119,10 @@ class _Stored:
 
 @dataclass(frozen=True, eq=False)
 class Pushed:
-    """``vertices`` [m] (F, V, 3) that are clear, and the way [m] (F, V) of each.
+    """``vertices`` [m] (F, V, 3) that are clear, and how far each was moved, ``way_m`` (F, V).
 
-    ``jet`` (F, K, 45) is None unless jets were pushed too. It holds the projection but for ``left_m`` [m] (F,), the
-    longest way that a vertex of it lacks.
+    ``jet`` (F, K, 45) is None unless jets were pushed too. Vertices made of it are clear but for ``left_m`` [m] (F,),
+    the largest distance that one of them still lacks.
     """
 
     vertices: np.ndarray

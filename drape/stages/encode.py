@@ -72,7 +72,9 @@ def coordinate_bits(options: DrapeOptions) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Idle:
-    """The time [s] since when a body has kept one pose, the number of frames since then, and the last message."""
+    """The rest of a body: the time [s] since which it has kept one pose, the number of frames since then, and the last
+    message.
+    """
 
     pose: np.ndarray
     trans: np.ndarray
@@ -101,10 +103,11 @@ def idle_before(plan: Plan, one: PoseInput) -> Idle | None:
 
 
 def answer_again(plan: Plan, one: PoseInput, idle: Idle | None) -> tuple[bytes, Memories] | None:
-    """The message of the single frame of ``one`` and its memories, where what is ``idle_before`` has come to rest.
+    """Returns the message that answers the single frame of ``one`` without computing it, and the memories that follow;
+    None if the body of ``idle`` (``idle_before``) has not come to rest.
 
-    A client that still shows that frame gets the word that it holds. A pause does not count as rest: only
-    computed frames bring cloth there.
+    A client that still shows the last frame gets a SAME message. A pause does not count as rest: only computed frames
+    bring cloth to rest.
     """
     if idle is None or idle.frames < REST_FRAMES or idle.last_s - idle.since_s < REST_S:
         return None

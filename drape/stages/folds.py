@@ -208,7 +208,7 @@ class Folds(Stage):
         return made[::-1]
 
     def wrapped(self, layer: Layer, garment: Garment) -> Layer:
-        """``layer`` as the delivered mesh of ``garment``, around the finer cloth."""
+        """Returns ``layer`` with the delivered mesh of ``garment`` wrapped around its finer cloth."""
         assert layer.vertices is not None
         wrapping = self._wrapping(garment)
         return changed(layer, vertices=np.stack([wrapping.wrap(cloth) for cloth in layer.vertices]))

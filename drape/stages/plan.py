@@ -21,7 +21,7 @@ SKIN = "skin"  # what a stage needs where it reads the posed samples of the skin
 
 
 class StageRules:
-    """What a stage says of plans and of its memories; ``drape.stages.stage.Stage`` adds what it does to frames."""
+    """The rules of a stage on plans and on its memories; ``drape.stages.stage.Stage`` adds what it does to frames."""
 
     name: ClassVar[str]
     kept: ClassVar[tuple[type, ...]] = ()  # the classes of what it remembers, which streams take to other processes

@@ -140,7 +140,7 @@ class Outfit:
 
     @property
     def patch_count(self) -> int:
-        """The number of all layers together."""
+        """The number of patches of all layers together."""
         return sum(entry.patch_count for entry in self.layers)
 
 
@@ -158,9 +158,9 @@ def layer_list(scene: Scene, *, patches: bool = False) -> list[dict[str, str | i
 
 
 def layer_fabrics(options: DrapeOptions, layers: int) -> tuple[Fabric | None, ...]:
-    """The fabric of each of ``layers`` garments, None where it is the garment's own.
+    """Returns the fabric of each of ``layers`` garments, None where it is the garment's own.
 
-    Refuses (``InputError``, ``NotFound``) what is no fabric, and a list of another length.
+    Refuses (``InputError``, ``NotFound``) an unknown fabric, and a list of another length.
     """
     chosen = options.fabric
     if not isinstance(chosen, tuple):

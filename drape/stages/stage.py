@@ -32,7 +32,7 @@ def call_here(function: Callable[..., Any], *arguments: Any, **named: Any) -> An
 
 
 class StageSettings(Protocol):
-    """What holds where options are left open: ``inertia``."""
+    """The setting that stages read where an option is left open: ``inertia``."""
 
     @property
     def inertia(self) -> Literal["network", "mesh"]: ...
@@ -40,7 +40,7 @@ class StageSettings(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class StageSetup:
-    """What all stages share; ``make`` calls a function that takes long, and a card's ``lane`` draws folds."""
+    """The objects that all stages share. ``make`` calls a function that takes long; a card's ``lane`` draws folds."""
 
     engine: Engine
     body: BodyModel
@@ -67,11 +67,11 @@ class Stage(StageRules):
 
     @property
     def held_bytes(self) -> int:
-        """Memory of its constants where the graphs compute."""
+        """The memory [bytes] of its constants where the graphs compute."""
         return 0
 
     def run(self, batch: Batch) -> Batch:
-        """``batch`` with what this stage makes of it."""
+        """Returns ``batch`` after this stage."""
         raise NotImplementedError
 
     def steps(self, batch: Batch) -> Iterator[Batch]:

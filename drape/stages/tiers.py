@@ -21,7 +21,7 @@ EXACT = "exact"  # a job of the service
 
 
 class TierSettings(Protocol):
-    """What holds where a client names neither a tier nor steps of folds."""
+    """The settings that hold where a client names neither a tier nor a number of steps of folds."""
 
     @property
     def tier(self) -> TierName: ...

@@ -23,8 +23,9 @@ _HEADER = wire.record((*wire.PREFIX, ("document_bytes", "u32", 1)))
 def with_hung(
     document: Mapping[str, Any], arrays: Sequence[np.ndarray], hung: Sequence[np.ndarray]
 ) -> tuple[dict[str, Any], list[np.ndarray]]:
-    """``document`` and ``arrays`` with those by which a drawn mesh hangs on the cloth (``bound.Drawer.arrays``) behind
-    all others; the document counts them in ``hung``."""
+    """Returns ``document`` and ``arrays`` with those by which a drawn mesh hangs on the cloth (``bound.Drawer.arrays``)
+    behind all others; the document counts them in ``hung``.
+    """
     flat = [np.ascontiguousarray(one).reshape(-1) for one in hung]
     return {**document, "hung": [one.size for one in flat]}, [*arrays, *flat]
 

@@ -70,7 +70,7 @@ class JetFrame:
 
 
 def message_bytes(patches: int) -> int:
-    """Length of the message of so many patches, padded to a multiple of 4."""
+    """Returns the length [bytes] of the message of ``patches`` patches, padded to a multiple of 4."""
     return HEADER_BYTES + ROW_BYTES * patches + (-ROW_BYTES * patches) % 4
 
 

@@ -52,7 +52,7 @@ class JetLayout:
         return self.positions(frame) + frame.root
 
     def positions(self, frame: JetFrame) -> np.ndarray:
-        """``vertices`` relative to the frame's root, float32."""
+        """Returns ``vertices`` relative to the frame's root, float32."""
         if len(frame.jet) != self.patch_count:
             raise InputError(
                 "patches",

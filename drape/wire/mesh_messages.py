@@ -67,8 +67,9 @@ def _uv_metres(vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray, uv_faces
 def pack_body_mesh(
     vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, bones: np.ndarray, weights: np.ndarray
 ) -> bytes:
-    """The BODY of ``vertices`` (V, 3) [m] and ``faces`` (F, 3) at rest, its 24 ``joints`` (24, 3) [m], and of each
-    vertex four ``bones`` (V, 4) and their ``weights`` (V, 4), rows summing to one."""
+    """Returns the BODY message of ``vertices`` (V, 3) [m] and ``faces`` (F, 3) at rest, its 24 ``joints`` (24, 3) [m],
+    and of each vertex four ``bones`` (V, 4) and their ``weights`` (V, 4), rows summing to one.
+    """
     header = _BODY.pack(
         wire.MAGIC, wire.WIRE_VERSION, wire.BODY, 0, 0, len(vertices), len(faces), STEP_M, WEIGHT_STEP, *joints.ravel()
     )

@@ -169,7 +169,9 @@ def frame_flags(pushed: bool, stepped: bool, novelty: float) -> int:
 
 
 def flagged_novelty(flags: int) -> float:
-    """The novelty of the pose in a message with ``flags``: its distance from training, to 1/64."""
+    """Returns the novelty of the pose in a message with ``flags``, exact to 1/64: how unlike training it is, above 1
+    more than it may be.
+    """
     return (flags >> NOVELTY_SHIFT) / NOVELTY_STEPS
 
 

@@ -71,7 +71,7 @@ FabricChoice = Annotated[str, Field(min_length=1, max_length=40)] | FabricNumber
 
 
 class Advanced(BaseModel):
-    """What a tier and the service choose for most: experts and measurements set it."""
+    """Settings for experts and measurements. Each one that is left out is chosen by the tier or by the service."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -44,7 +44,7 @@ def pack_rig_pose(pose: RigPose) -> bytes:
 
 
 def unpack_rig_pose(message: bytes, nodes: int) -> RigPose:
-    """The pose in ``message`` for an avatar of so many nodes.
+    """Returns the pose in ``message`` for an avatar of ``nodes`` nodes.
 
     Refuses (``InputError``) another size, version, kind or number of nodes and numbers that are not finite, and
     (``MotionError``) quaternions that are not of length one.

@@ -67,7 +67,7 @@ class ChartConsensus(WithTables):
 
 
 def chart_tables() -> dict[str, Tensor]:
-    """Buffers of ``ChartConsensus``."""
+    """Returns the constant matrices that ``ChartConsensus`` multiplies with, by the names of its buffers."""
     return {
         **_jet_tables(),
         "chart_sums": torch.kron(torch.eye(3), torch.ones(1, CHARTS_PER_VERTEX)),

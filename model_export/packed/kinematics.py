@@ -124,7 +124,7 @@ class PatchKinematics(WithTables):
 
 
 def kinematic_tables() -> dict[str, Tensor]:
-    """Buffers of ``PatchKinematics``."""
+    """Returns the constant tensors that ``PatchKinematics`` computes with, by the names of its buffers."""
     rotation = torch.zeros(16, 10)
     for column, entries in enumerate(_ROTATION):
         for row, factor in entries:

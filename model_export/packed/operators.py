@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 @torch.library.custom_op("drape::softsign", mutates_args=())
 def softsign(x: Tensor) -> Tensor:
-    """``x / (1 + |x|)``: one operation of the graph, where torch's own is written as three."""
+    """Returns ``x / (1 + |x|)``: one operation of the graph, where torch's own is written as three."""
     return nn.functional.softsign(x)
 
 

@@ -89,7 +89,7 @@ class Contact(WithTables):
 
 
 def skin_plane_tables() -> dict[str, Tensor]:
-    """Buffers of ``Contact``."""
+    """Returns the constant matrices that ``Contact`` multiplies with, by the names of its buffers."""
     basis = torch.from_numpy(jets.basis(strain_points(), jets.HEIGHT_ORDER)).float()  # (7, 15)
     terms = torch.zeros(jets.JET_COUNT, 3, 2, STRAIN_POINTS)
     first = 0

@@ -43,7 +43,10 @@ class Stretch:
 
 
 def strain_tables() -> dict[str, Tensor]:
-    """Buffers of ``Strain``; numbers of a point lie together by kind, points last."""
+    """Returns the constant matrices that ``Strain`` multiplies with, by the names of its buffers.
+
+    The numbers of a point lie together by kind, points last.
+    """
     directions = torch.tensor(DIRECTIONS)
     terms = tangent_terms().reshape(jets.JET_COUNT, STRAIN_POINTS, 3, 2)
     xyz = torch.ones(3)

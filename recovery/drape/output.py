@@ -42,7 +42,9 @@ def sewn_obj_text(mesh: PatternMesh, nodes: np.ndarray, texture: tuple[np.ndarra
 
 
 def glb_bytes(mesh: PatternMesh, nodes: np.ndarray, texture: tuple[np.ndarray, float]) -> bytes:
-    """The same as a GLB, whose vertices are split along the seams: glTF has no separate texture vertices."""
+    """Returns the garment of ``sewn_obj_text`` as a GLB, whose vertices are split along the seams: glTF has no separate
+    texture vertices.
+    """
     file = GlbFile()
     add_garment(file, _surface(mesh, texture[0]), nodes[None], 1.0)
     return file.to_bytes()

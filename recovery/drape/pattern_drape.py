@@ -28,7 +28,7 @@ HANGS_LONGER = 0.01  # cloth a metre long by its own weight, as a share
 
 
 class Hold(StrEnum):
-    """What holds a garment up: a belt at its topmost opening, the body alone, or whichever its cut asks for."""
+    """The means that hold a garment up: a belt at its topmost opening, the body alone, or what its cut asks for."""
 
     AUTO = "auto"
     BELT = "belt"
@@ -70,7 +70,8 @@ class SewingOptions:
 
 
 def hanging(name: str, longer: float = HANGS_LONGER) -> OrthotropicMaterial:
-    """The fabric called ``name`` as it is draped: no stiffer than that a metre of it hangs longer by this share.
+    """Returns the material of the fabric called ``name``, softened for draping: a metre of it that hangs by its own
+    weight stretches by at least the share ``longer``.
 
     Triangles that lie across the yarns cannot bend without stretching them, so that on long edges a stiff, light cloth
     folds nowhere and hardly comes to rest (``Fabric.softened``).
@@ -106,7 +107,7 @@ class Draped:
 
     @property
     def at_rest(self) -> bool:
-        """Whether both drapes, or the one there is, came to rest."""
+        """Whether all of its drapes came to rest: that in the T-pose, and that in a pose if there is one."""
         return self.rest.report.converged and (self.posed is None or self.posed.report.converged)
 
 
@@ -120,7 +121,7 @@ def drape_pattern(
     skin: SignedDistance | None = None,
     report: Say | None = None,
 ) -> Draped:
-    """``pattern`` sewn round ``body`` and at rest on it, in the T-pose and then in ``pose`` (24, 3).
+    """Returns ``pattern`` sewn round ``body`` and at rest on it, in the T-pose and then in ``pose`` (24, 3).
 
     ``cloth`` replaces the fabric that the options name; ``skin`` is the body's distance in the T-pose, if the caller
     has it. Raises ``InputError`` (or ``MeshError``) for a pattern that cannot be meshed, placed or closed round this

@@ -46,11 +46,11 @@ class Axes(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class PlacedPanels:
-    """Panel vertices ``positions`` [m] (P, 3) round the body, clear of it.
+    """Panel vertices ``positions`` [m] (P, 3) around the body, clear of it, and how they were brought there.
 
-    ``axes`` were taken, the panels lifted by ``lift_m`` beyond them, and moved outward by at most ``outward_m``.
-    ``hangs_from`` is "shoulders", "chest" or "waist". Sleeves were turned onto the arms by at most ``turned_rad``.
-    ``limbs`` have an opening of their own.
+    The file's placements were read in ``axes``. All panels were then lifted by ``lift_m``, each moved outward by at
+    most ``outward_m``, and sleeves turned onto the arms by at most ``turned_rad``. ``hangs_from`` is "shoulders",
+    "chest" or "waist". ``limbs`` names the limbs that have an opening of their own.
     """
 
     positions: np.ndarray
@@ -63,7 +63,7 @@ class PlacedPanels:
 
 
 def scale_pattern(pattern: Pattern, factor: float) -> Pattern:
-    """``pattern`` sized up or down: panels and the places of their middles alike."""
+    """Returns ``pattern`` scaled by ``factor``: panels and the places of their middles alike."""
     if not 0.5 <= factor <= 2.0:
         raise InputError("scale", expected="a factor from 0.5 to 2", got=f"{factor}", cure="Draft a new size instead.")
 
@@ -154,7 +154,8 @@ def move_clear(
     mesh: PatternMesh, positions: np.ndarray, distance: Distance, *, leave: Collection[str] = ()
 ) -> tuple[np.ndarray, float]:
     """Returns ``positions`` [m] (P, 3) with every panel moved along its normal until it is clear of the body, and the
-    longest way [m]. Panels named in ``leave`` stay where they are."""
+    longest such move [m]. Panels named in ``leave`` stay where they are.
+    """
     moved, longest = positions.copy(), 0.0
     for number, panel in enumerate(mesh.pattern.panels):
         if panel.name in leave:
@@ -192,7 +193,9 @@ def openings_of_limbs(mesh: PatternMesh, placed: np.ndarray, *, top: bool, crotc
 
 
 def sleeve_panels(mesh: PatternMesh, cuff: np.ndarray) -> np.ndarray:
-    """Numbers of the panels that touch no opening but the nodes ``cuff``, and lie nearest to it along the cloth."""
+    """Returns the numbers (n,) of the panels that lie nearest to the opening with the nodes ``cuff`` (m,), along the
+    cloth, and touch no other opening.
+    """
     edges = meshes.unique_edges(mesh.panel_faces)
     lengths = np.concatenate([meshes.edge_lengths(mesh.rest, edges), np.full(len(mesh.seam_pairs), 1e-9)])
     ends = np.concatenate([edges, mesh.seam_pairs]).T

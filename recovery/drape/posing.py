@@ -95,7 +95,9 @@ def move_with_bones(
 
 
 def to_pose(mesh: PatternMesh, nodes: np.ndarray, body: BodyModel, pose: np.ndarray) -> np.ndarray:
-    """``nodes`` [m] (N, 3) of a garment on ``body`` in the T-pose, in ``pose`` (24, 3); clear of it, not at rest."""
+    """Returns ``nodes`` [m] (N, 3) of a garment on ``body`` in the T-pose, in ``pose`` (24, 3); clear of it, not at
+    rest.
+    """
     before = np.zeros((JOINT_COUNT, 3))
     for after in pose_steps(pose):
         nodes = move_with_bones(nodes, mesh.faces, body, before, after)

@@ -110,7 +110,7 @@ def sew(
 
 
 def uncross_stitches(pattern: Pattern) -> tuple[Pattern, tuple[str, ...]]:
-    """``pattern`` with crossed pairs of stitches exchanged, and a sentence on each.
+    """Returns ``pattern`` with crossed pairs of stitches exchanged, and a sentence on each.
 
     Two stitches between the same two panels are crossed where their edges, panels as placed, come to lie twice as near
     with the partners exchanged, and the lengths still fit.

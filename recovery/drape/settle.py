@@ -47,7 +47,9 @@ class SettledDrape(NamedTuple):
 
 
 def topmost_opening(faces: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Nodes near the top of the garment's highest border, which a waistband or an elastic holds."""
+    """Returns the sorted nodes (n,) near the top of the garment's highest border, which a waistband or an elastic
+    holds; ``nodes`` [m] (N, 3), y up.
+    """
     loops = meshes.boundary_loops(faces)
     if not loops:
         return np.zeros(0, dtype=np.int64)

@@ -95,7 +95,7 @@ def belt_of(draped: Draped, matches: list[Match], there: list[Contour]) -> Belt 
 def hold_as_target(
     draped: Draped, matches: list[Match], there: list[Contour], skin: SignedDistance, cloth: OrthotropicMaterial
 ) -> Draped:
-    """``draped`` with the nodes that its belt holds laid on the waist among the target's contours ``there``.
+    """Returns ``draped`` with the nodes that its belt holds laid on the waist among the target's contours ``there``.
 
     Held nodes move by the offset of both contours' centres, then onto the target's, each as far along it as it is along
     the pattern's waist. The other nodes move by the offset and settle round ``skin``, the body's distance in the

@@ -180,7 +180,7 @@ def _priors(unknowns: _Unknowns) -> Iterator[Equation]:
 
 
 def combine_grades(first: Graded, second: Graded) -> Graded:
-    """``second``, which graded the pattern of ``first``, with the factors of both over the first one's base.
+    """Returns ``second``, which graded the pattern of ``first``, with the factors of both over the first one's base.
 
     Squares of tapers are left out of the factors, as they are of both gradings.
     """
@@ -194,7 +194,7 @@ def combine_grades(first: Graded, second: Graded) -> Graded:
 
 
 def ungraded(pattern: Pattern) -> Graded:
-    """``pattern`` as it is, all factors one; its misfit is not known."""
+    """Returns ``pattern`` as it is, all factors one; its misfit is not known."""
     ones = np.ones(len(pattern.panels))
     return Graded(pattern, ones, ones, 0.0 * ones, float("nan"))
 

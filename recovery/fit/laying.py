@@ -52,7 +52,7 @@ OTHER_FOLDS_MM = 3.0  # mean distance of two drapes of a pattern: of two meshes 
 
 
 def laying_options(drape: SewingOptions) -> SewingOptions:
-    """``drape`` for cloth that will be laid: it need not come to rest, and edges are short."""
+    """Returns ``drape`` for cloth that will be laid: it need not come to rest, and edges are short."""
     length = min(EDGE_M, drape.edge_length_m)
     return replace(drape, edge_length_m=length, iteration_limit=0, hangs_longer=HANGS_LONGER)
 
@@ -204,11 +204,11 @@ class Shown(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Dressing:
-    """How a garment that was sewn from flat panels is put on, as hands arrange it, where it closed elsewhere.
+    """The means by which a garment that was sewn from flat panels is put on as the target wears it.
 
     ``skin`` is the body's signed distance in the garment's pose. Gathered cloth is ``laid`` on the target, and ``hold``
-    lays a belt. ``lost`` tells what of the body is beside its opening. Of two ways that with the least ``rank`` is
-    taken.
+    lays a belt. ``lost`` returns the parts of the body that are beside their opening. Where there are two ways to put
+    the garment on, the drape with the lower ``rank`` is taken.
     """
 
     skin: SignedDistance
@@ -219,9 +219,10 @@ class Dressing:
     rank: Callable[[Draped], Any]
 
     def worn_as(self, loose: Draped, shown: Shown) -> Draped:
-        """``loose`` as it is worn: hung in the folds of ``shown`` if it gathers or fell into others, its belt laid.
+        """Returns ``loose`` as it is worn, with its belt laid on the target's waist.
 
-        What hangs from a belt is laid on the target's waist and not hung so.
+        A garment without a belt is hung in the folds of ``shown`` if it gathers, or if it fell into other folds by
+        itself.
         """
         if self.laid:
             return hung_as(loose, shown, self.skin, self.cloth)

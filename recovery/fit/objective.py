@@ -147,9 +147,10 @@ def _one_way(points: Tensor, line: Tensor) -> Tensor:
 
 
 def on_line(points: Tensor, line: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Samples (2 n, 3) of the closed polyline ``points``, their shares of its length, and their places on ``line``.
+    """Returns samples (2 n, 3) of the closed polyline ``points``, their shares (2 n,) of its length, and where on
+    ``line`` each is nearest: the number (2 n,) of the segment, and the place (2 n,) on it from 0 to 1.
 
-    That is the number of the nearest segment and the place on it from 0 to 1, both held while differentiating.
+    These places are held constant while differentiating.
     """
     following = torch.roll(points, -1, dims=0)
     length = torch.linalg.vector_norm(following - points, dim=1)

@@ -93,7 +93,7 @@ class SeamConstraint:
 
 
 def sewable(pattern: Pattern, base: Pattern, symmetries: Symmetries) -> Pattern:
-    """``pattern`` with its corners moved as little as makes its seams those that ``base`` asks for.
+    """Returns ``pattern`` with its corners moved as little as makes its seams those that ``base`` asks for.
 
     ``symmetries`` of the pattern stay. Raises ``InputError`` where no corners do.
     """

@@ -29,7 +29,8 @@ FINER = 0.6  # of it, tried next where a part is lost: edges of 5 cm cut through
 
 @dataclass(frozen=True, eq=False)
 class DrapeStart:
-    """What drapes have in common: ``body``, options, ``pose`` (24, 3), and the body's distance ``skin`` in the T-pose.
+    """The settings that drapes have in common: ``body``, options, ``pose`` (24, 3), and the body's distance ``skin`` in
+    the T-pose.
 
     ``parts`` of the body should go through the garment's openings, by default the limbs that have one. ``cloth``
     replaces the fabric of the options, and ``report`` gets lines on every drape.
@@ -44,7 +45,7 @@ class DrapeStart:
     report: Say | None = None
 
     def lost(self, draped: Draped) -> tuple[str, ...]:
-        """Those of ``parts`` that are beside their openings."""
+        """Returns the names in ``parts`` of parts of the body that are beside their openings."""
         parts = self.parts or draped.placed.limbs
         return lost_parts(*draped.surface, posed_joints(self.body, self.pose), parts)
 
@@ -98,8 +99,9 @@ def sew_and_dress(
     off_mm: Callable[[Draped], float] = lambda one: 0.0,
     enough_mm: float = 0.0,
 ) -> DressedDrape:
-    """``pattern`` sewn from flat panels as ``drape_worn`` does it, and put on as ``shown`` lies. Raises ``InputError``
-    where it cannot be sewn."""
+    """Returns ``pattern`` sewn from flat panels as ``drape_worn`` does it, and put on as ``shown`` lies. Raises
+    ``InputError`` where it cannot be sewn.
+    """
     pairs: list[DressedDrape] = []
 
     def mended(loose: Draped) -> Draped:
@@ -121,7 +123,7 @@ def needed_length(draped: Draped, options: SewingOptions) -> float:
 
 
 def drape_at_rest(pattern: Pattern, start: DrapeStart) -> Draped:
-    """``drape_worn`` of ``pattern``. Raises ``InputError`` where it does not come to rest."""
+    """Returns ``drape_worn`` of ``pattern``. Raises ``InputError`` where it does not come to rest."""
     draped = drape_worn(pattern, start)
     if not draped.at_rest:
         left = max(one.report.residual_n for one in (draped.rest, draped.posed) if one is not None)

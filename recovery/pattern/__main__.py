@@ -56,7 +56,7 @@ def _parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 
 
 def print_pattern(pattern: Pattern) -> None:
-    """A table of panels and seams."""
+    """Prints a table of the panels of ``pattern`` and one of its seams."""
     print(f"{pattern.name}: {len(pattern.panels)} panels, {len(pattern.stitches)} stitches")
     print(f"\n{'panel':<24}{'edges':>6}{'area cm2':>10}{'outline cm':>12}")
     for panel in pattern.panels:
@@ -75,7 +75,7 @@ def print_pattern(pattern: Pattern) -> None:
 
 
 def print_notes(pattern: Pattern) -> None:
-    """What reading did to the pattern, a line each."""
+    """Prints what reading changed in ``pattern``, a line for each change."""
     for note in pattern.notes:
         print(f"note: {note}")
 

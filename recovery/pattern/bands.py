@@ -18,10 +18,11 @@ Edge = tuple[Drafted, str]
 
 
 class BandShape(NamedTuple):
-    """A strip of ``width_m`` [m], shorter than what it is sewn to by the share ``shorter``.
+    """The measures of a band: a strip called ``name``, ``width_m`` [m] wide, and shorter by the share ``shorter`` than
+    the edges that it is sewn to.
 
-    It stands ``above``, as a waistband does, or hangs below, as a cuff. ``free`` and ``name`` name its free edge and
-    the panel; ``seam`` its seam, by default after the name.
+    It stands ``above`` these edges, as a waistband does, or hangs below them, as a cuff. ``free`` is the name of its
+    free edge, and ``seam`` that of its seam, by default the band's own.
     """
 
     name: str
@@ -64,7 +65,7 @@ def sew_band(assembly: Assembly, band: BandShape, to: Sequence[Edge], tube: Tube
 
 
 def sew_waistband(assembly: Assembly, body: BodyMeasurements, top: float, to: Sequence[Edge], width_m: float) -> None:
-    """A band of ``width_m`` above the edges ``to``, the waist of a garment at the height ``top`` [m]."""
+    """Sews a band of ``width_m`` above the edges ``to``, the waist of a garment at the height ``top`` [m]."""
     middle = (0.0, top + 0.01, 0.5 * (body.front_z + body.back_z))
     tube = Tube(middle, UP, FORWARD, body.girth_at(top) / 5.0)
     sew_band(assembly, BandShape("waistband", width_m, WAISTBAND_SHORTER, above=True), to, tube)

@@ -49,7 +49,7 @@ def control_points(pattern: Pattern, *, free_curves: bool = False) -> Controls:
 
 
 def with_controls(pattern: Pattern, controls: Controls, positions: np.ndarray) -> Pattern:
-    """``pattern`` with its control points at ``positions`` [m] (K, 2), in the order of ``controls``."""
+    """Returns ``pattern`` with its control points at ``positions`` [m] (K, 2), in the order of ``controls``."""
     panels = []
     for panel_number, panel in enumerate(pattern.panels):
         mine = controls.panel == panel_number

@@ -85,7 +85,7 @@ def draft(
 
 
 def mirror(sides: Sequence[Side]) -> list[Side]:
-    """``sides`` with left and right exchanged, again counter-clockwise and under the same names."""
+    """Returns ``sides`` with left and right exchanged, again counter-clockwise and under the same names."""
 
     def reflected(point: Point) -> Point:
         return (-point[0], point[1])

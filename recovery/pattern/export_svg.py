@@ -26,7 +26,7 @@ def write_svg(sheet: CuttingSheet, path: Path) -> None:
 
 
 def drawing(sheet: CuttingSheet) -> ElementTree.Element:
-    """``sheet`` as the element that ``write_svg`` writes."""
+    """Returns the SVG element of ``sheet`` that ``write_svg`` writes."""
     width, height = MM * sheet.width_m, MM * sheet.height_m
     root = ElementTree.Element(
         "svg",

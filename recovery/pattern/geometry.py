@@ -107,7 +107,9 @@ def _gauss() -> tuple[np.ndarray, np.ndarray]:
 
 @lru_cache(maxsize=4096)
 def equal_parameters(edge: Edge, segments: int) -> np.ndarray:
-    """Parameters (segments + 1,) that cut the edge into parts of equal arc length; 0 and 1 are among them."""
+    """Returns the parameters (segments + 1,) that cut ``edge`` into parts of equal arc length; the first is 0, the last
+    1.
+    """
     parameters = parameters_at(edge, np.linspace(0.0, 1.0, segments + 1))
     parameters.flags.writeable = False  # all callers share it
     return parameters
@@ -217,7 +219,9 @@ def segment_counts(pattern: Pattern, edge_length_m: float) -> dict[EdgeRef, int]
 
 
 def seams(pattern: Pattern) -> list[SeamLine]:
-    """Both lengths and the mismatch of every stitch."""
+    """Returns a ``SeamLine`` for each stitch of ``pattern``, in order: the lengths [m] of its two edges, and their
+    mismatch.
+    """
     result = []
     for stitch in pattern.stitches:
         first, second = (edge_length(pattern.panel(ref.panel), ref.edge) for ref in (stitch.first, stitch.second))

@@ -18,9 +18,9 @@ GRID = 16  # places tried along each side of the piece's box
 
 
 class Label(NamedTuple):
-    """``lines`` of text whose first line's base line begins at ``at`` [m] (2,), ``height_m`` high.
+    """A text of ``lines`` on a piece, ``height_m`` high. The base line of the first begins at ``at`` [m] (2,).
 
-    ``upright`` ones run along the grain, from bottom to top.
+    An ``upright`` label runs along the grain, from bottom to top.
     """
 
     lines: tuple[str, ...]

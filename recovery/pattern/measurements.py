@@ -81,7 +81,7 @@ class BodyMeasurements:
 
     @property
     def limbs_longer_m(self) -> float:
-        """What sleeves and legs are cut longer [m]."""
+        """The length [m] by which sleeves and legs are cut longer."""
         return 0.5 * self.longer_m
 
     def girth_at(self, y: float) -> float:

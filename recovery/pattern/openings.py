@@ -25,7 +25,7 @@ COLLAR_LEAN_M = 0.01  # by which each end of a collar's outer edge is longer: it
 
 
 def with_collar(pattern: Pattern, width_m: float) -> Pattern:
-    """``pattern`` with a straight collar as long as its neckline, open in the middle of the front, sewn to it.
+    """Returns ``pattern`` with a straight collar as long as its neckline, open in the middle of the front, sewn to it.
 
     Nothing turns it over when it is draped. Its ends lean outward.
     """
@@ -36,10 +36,10 @@ def with_collar(pattern: Pattern, width_m: float) -> Pattern:
 
 
 def with_ribs(pattern: Pattern, name: str, width_m: float, shorter: float) -> Pattern:
-    """``pattern`` whose bands ``name``, which were cut off, are straight ribs, closed to rings.
+    """Returns ``pattern`` whose bands ``name``, which were cut off, are straight ribs, closed to rings.
 
-    A rib is ``shorter`` by that share than what it is sewn to, and its seam is at the back of a neck, below an arm,
-    at the side of a hem.
+    A rib is ``shorter`` by that share than what it is sewn to, and its seam is at the back of a neck, below an arm, at
+    the side of a hem.
     """
     word = name.removesuffix("s")
     bands = {panel.name for panel in pattern.panels if panel.name.endswith(f"_{word}")}
@@ -203,7 +203,9 @@ def openings_by_name(pattern: Pattern) -> dict[str, list[PatternOpening]]:
 
 
 def openings_called(pattern: Pattern, name: str, part: str) -> list[PatternOpening]:
-    """The openings called ``name``, at which the ``part`` is to be."""
+    """Returns the openings of ``pattern`` called ``name``. Raises ``InputError`` where it has none, for the option
+    ``part``, which needs one.
+    """
     by_name = openings_by_name(pattern)
     if not by_name.get(name):
         raise InputError(

@@ -251,9 +251,11 @@ def _check_surface(pattern: Pattern, faces: np.ndarray, face_panel: np.ndarray, 
 
 
 def on_finer_mesh(coarse: PatternMesh, nodes: np.ndarray, fine: PatternMesh) -> np.ndarray:
-    """Nodes [m] (N, 3) of ``fine`` on the cloth of ``coarse`` at ``nodes``, by their places in the panels.
+    """Returns the nodes [m] (N, 3) of ``fine``, laid on the cloth of ``coarse`` at ``nodes`` by their places in the
+    panels.
 
-    Panels of ``fine`` may be cut into the rest, under the same name, and parts in the same frame, named after it.
+    A panel of ``coarse`` may have been cut in ``fine``. The rest of it then has its name, and the parts have its frame
+    and names that begin with its own.
     """
     there, here = ([panel.name for panel in mesh.pattern.panels] for mesh in (coarse, fine))
     whole = [_whole(name, there) for name in here]

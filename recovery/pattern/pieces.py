@@ -144,7 +144,7 @@ def hems(pattern: Pattern) -> set[EdgeRef]:
 
 
 def side_of(panel: Panel) -> str:
-    """``front``, ``back`` or ``side``: where the placed panel faces."""
+    """Returns ``front``, ``back`` or ``side``, by where the placed panel faces."""
     facing = float(panel.placement.matrix()[2, 2])
     return "front" if facing > FACING else "back" if facing < -FACING else "side"
 

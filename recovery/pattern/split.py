@@ -197,14 +197,16 @@ def part_panel(
 
 
 class Chain(NamedTuple):
-    """Edges ``refs`` of one panel in the order of its outline, the strip beside which is to be the panel ``called``."""
+    """Edges ``refs`` of one panel, in the order of its outline, along which a strip is cut off. The strip becomes the
+    panel ``called``.
+    """
 
     refs: tuple[EdgeRef, ...]
     called: str
 
 
 def strips(pattern: Pattern, chains: Sequence[Chain], width_m: float) -> Pattern:
-    """``pattern`` with a strip of ``width_m`` cut off along every one of ``chains`` and sewn on again.
+    """Returns ``pattern`` with a strip of ``width_m`` cut off along every one of ``chains`` and sewn on again.
 
     The width is measured along the edges beside a chain, which may be seams: so strips of neighbouring panels meet.
     Raises ``InputError`` where such an edge is too short, or the line would leave its panel.

@@ -37,9 +37,11 @@ PARTS = (*BANDS, *RIBS, *YOKES, COLLAR)
 
 @dataclass(frozen=True)
 class Style:
-    """What is cut off and added: widths [m] by the names of ``PARTS``, and whether halves of sleeves are joined.
+    """The changes that a style makes to a pattern: parts that are cut off or added, with their ``widths_m`` [m] by the
+    names of ``PARTS``.
 
-    With ``whole_bands`` the pieces of a band are, as far as their ends lie on each other.
+    With ``whole_sleeves`` the halves of a sleeve are joined, and with ``whole_bands`` the pieces of a band, as far as
+    their ends lie on each other.
     """
 
     widths_m: Mapping[str, float]
@@ -68,7 +70,8 @@ NO_STYLE = Style({})
 
 
 def add_style_lines(pattern: Pattern, style: Style) -> Pattern:
-    """``pattern`` with the bands and yokes of ``style`` cut off: it drapes as before. Raises ``InputError`` as they do.
+    """Returns ``pattern`` with the bands and yokes of ``style`` cut off: it drapes as before. Raises ``InputError`` as
+    they do.
 
     Yokes come first, so that a neckband takes its share of them.
     """
@@ -83,7 +86,7 @@ def add_style_lines(pattern: Pattern, style: Style) -> Pattern:
 
 
 def finish_pattern(pattern: Pattern, style: Style) -> Pattern:
-    """``pattern``, which has its style lines, with sleeves and yokes joined and a collar drafted."""
+    """Returns ``pattern``, which has its style lines, with sleeves and yokes joined and a collar drafted."""
     if style.whole_sleeves:
         pattern = _whole_sleeves(pattern)
     if all(name in style.widths_m for name in YOKES):

@@ -208,7 +208,7 @@ def name_openings(work: Assembly, bodices: Sequence[Drafted], part: str, left: s
 def set_sleeves(
     work: Assembly, body: BodyMeasurements, sleeve: Sleeve, tip: Point, armholes: Mapping[str, tuple[Edge, Edge]]
 ) -> None:
-    """Two sleeves, and their cuffs, for the ``armholes`` of the wearer's sides: edge in front, edge behind.
+    """Sews two sleeves, and their cuffs, into the ``armholes`` of the wearer's sides: edge in front, edge behind.
 
     Raises ``InputError`` for a sleeve shorter than its cap or narrower than the arm.
     """

@@ -101,7 +101,8 @@ def has_collar(mesh: GarmentMesh, seen: SeenGarment, body: BodyMeasurements) -> 
 def collarless(
     mesh: GarmentMesh, wearer: BodyModel, joints: np.ndarray, there: dict[str, int]
 ) -> tuple[GarmentMesh, tuple[str, ...], float]:
-    """``mesh``, whose openings are ``there``, without its collar, a sentence on it, and its width [m]; 0 for none.
+    """Returns ``mesh``, whose openings are ``there``, without its collar, a sentence on it, and its width [m]; 0 for
+    none.
 
     ``joints`` [m] (24, 3) are those of ``wearer`` in the target's pose. A collar stays where openings would change. Its
     width, stand and fall together, is its area over the length of the neckline that is left.
@@ -170,7 +171,9 @@ def differences(
 
 
 def without_collar(mesh: GarmentMesh, joints: np.ndarray) -> tuple[GarmentMesh, float]:
-    """``mesh`` cut along the neck of a body with ``joints`` [m] (24, 3), and the share of its area that is gone."""
+    """Returns ``mesh`` cut along the neck of a body with ``joints`` [m] (24, 3), and the share of its area that is
+    gone.
+    """
     neck, chest = (joints[JOINT_NAMES.index(name)] for name in ("neck", "spine3"))
     up = (neck - chest) / np.linalg.norm(neck - chest)
     ahead = np.array([0.0, 0.0, 1.0]) - up[2] * up
@@ -185,7 +188,9 @@ def without_collar(mesh: GarmentMesh, joints: np.ndarray) -> tuple[GarmentMesh, 
 
 
 def below(mesh: GarmentMesh, height: np.ndarray) -> GarmentMesh:
-    """``mesh``, without texture, where ``height`` (V,), taken as linear in every triangle, is not positive."""
+    """Returns the part of ``mesh`` where ``height`` (V,), taken as linear in every triangle, is not positive. It has no
+    texture coordinates.
+    """
     up = height > 0.0
     above = up[mesh.faces].sum(axis=1)
     vertices, faces, parent = [mesh.vertices], [mesh.faces[above == 0]], [np.flatnonzero(above == 0)]

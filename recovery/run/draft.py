@@ -80,7 +80,7 @@ def draft_near(
 
 
 def own_settings(name: str, body: BodyMeasurements, told: dict[str, float]) -> dict[str, float]:
-    """The base's own values of the settings in ``told``."""
+    """Returns the values that the base ``name`` has by itself for the settings in ``told``."""
     cut = BASES[name].cut
     ankles = body.crotch_y - body.ankle_y  # an inseam of None
     settings = {}
@@ -93,7 +93,7 @@ def own_settings(name: str, body: BodyMeasurements, told: dict[str, float]) -> d
 
 
 def read_settings(name: str, body: BodyMeasurements, seen: SeenGarment) -> dict[str, float]:
-    """What the target tells of the settings of the base ``name``, each within its range."""
+    """Returns the settings of the base ``name`` that the target shows, each within its range."""
     reader = {"trousers": _of_trousers, "skirt": _of_skirt}.get(name, _of_top)
     told = reader(body, seen, BASES[name].settings)
     return {

@@ -59,7 +59,8 @@ def style_pattern(asked: Style, cut: Cut, pattern: Pattern, warnings: list[str])
 def in_other_size(
     pattern: Pattern, base: str, body: BodyMeasurements, settings: Mapping[str, float], size: str
 ) -> Pattern:
-    """``pattern``, which fits ``body`` as its M, in ``size``; its ``base`` was drafted for ``body`` with ``settings``.
+    """Returns ``pattern``, which fits ``body`` as its M, in ``size``; its ``base`` was drafted for ``body`` with
+    ``settings``.
 
     A corner moves by the difference of both sizes of the base, then as little as keeps the ratios of seams and the
     base's symmetries. Raises ``InputError`` where the base is no design that grows, or does not come in that size.

@@ -55,10 +55,11 @@ def identifiability(found: Recovered, tolerance_m: float) -> Identifiability:
 
 
 def shape_basis(basis: np.ndarray, panel: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Moves (2 K, M) of the control points that change panels' shapes, orthonormal, and the free values (Z, M) of each.
+    """Returns an orthonormal basis (2 K, M) of the moves of K control points that change the shape of a panel, and the
+    free values (Z, M) that make each of them.
 
-    ``basis`` (2 K, Z) are the moves of the free values, ``panel`` (K,) the numbers of the panels, ``positions``
-    [m] (K, 2). A panel's own shift and turn in its plane are taken out of every move.
+    ``basis`` (2 K, Z) has the move that each free value makes, ``panel`` (K,) the panel of each control point, and
+    ``positions`` [m] (K, 2) its place. Moves that only shift or turn a panel in its plane are taken out.
     """
     rigid = []
     for number in np.unique(panel):

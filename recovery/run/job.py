@@ -41,8 +41,9 @@ class Written(NamedTuple):
 
 
 class Nearness(NamedTuple):
-    """How near the garment lies to the target: its ``distance``, that of the base ``before``, the ``chamfer`` distance
-    and its ``floor``; and what of the pattern the target ``told``."""
+    """How near the garment lies to the target: its ``distance``, and that of the base, ``before``; the ``chamfer``
+    distance and its ``floor``. ``told`` says how well the target determines the pattern.
+    """
 
     distance: SurfaceDistance
     before: SurfaceDistance

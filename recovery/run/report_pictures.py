@@ -41,7 +41,9 @@ class MeshArrays(NamedTuple):
 
 
 def target_and_result(target: MeshArrays, result: MeshArrays, skin: MeshArrays) -> bytes:
-    """Three views of the target, of the result, and of the result coloured by its distance from the target."""
+    """Returns a PNG with three views each of the target, of the result, and of the result coloured by its distance from
+    the target.
+    """
     distance = 1e3 * closest.closest_point(result.vertices, target.vertices, target.faces).distance
     scale = Normalize(0.0, max(1.0, float(np.quantile(distance, SCALE_SHARE))))
     colours = matplotlib.colormaps["turbo"](scale(distance[result.faces].mean(axis=1)))[:, :3]
@@ -66,7 +68,9 @@ def target_and_result(target: MeshArrays, result: MeshArrays, skin: MeshArrays) 
 
 
 def target_above_result(target: MeshArrays, result: MeshArrays, skin: MeshArrays, size: tuple[int, int]) -> bytes:
-    """A PNG of the target and, below it, of the result from the front, each of ``size`` (height, width) in pixels."""
+    """Returns a PNG of the target and, below it, of the result, both from the front and each of ``size`` (height,
+    width) in pixels.
+    """
     body, middle = _body(skin, target.vertices), 0.5 * (target.vertices.min(axis=0) + target.vertices.max(axis=0))
     extent = float(np.ptp(target.vertices, axis=0)[:2].max()) * (1.0 + EDGE_SHARE)
     rows = [
@@ -79,7 +83,9 @@ def target_above_result(target: MeshArrays, result: MeshArrays, skin: MeshArrays
 
 
 def fault_picture(mesh: GarmentMesh, points: np.ndarray) -> bytes:
-    """Three views of a scan with the places ``points`` (P, 3) of its fault in red, in the scan's own unit."""
+    """Returns a PNG with three views of a scan; the places ``points`` (P, 3) of its fault, in the scan's own unit, are
+    red.
+    """
     size = float(np.ptp(mesh.vertices, axis=0).max())
     vertices = (mesh.vertices - mesh.vertices.min(axis=0)) / size
     middles = vertices[mesh.faces].mean(axis=1)
@@ -95,7 +101,9 @@ def fault_picture(mesh: GarmentMesh, points: np.ndarray) -> bytes:
 
 
 def panels_over_base(base: Pattern, found: Pattern) -> bytes:
-    """Every recovered panel (filled) over the base's (dashed), laid where it fits best, at one scale."""
+    """Returns a PNG of every recovered panel (filled) over the same panel of the base (dashed), which is turned and
+    shifted to where it fits best. All are drawn at one scale.
+    """
     figure, axes = _panel_axes(found)
     for axis, old, new in zip(axes, base.panels, found.panels, strict=False):
         line, was = geometry.outline(new), _laid(old, new)
@@ -136,7 +144,9 @@ def what_is_told(found: Identifiability, pattern: Pattern) -> bytes:
 
 
 def search_history(history: np.ndarray) -> bytes:
-    """Distance of the surfaces and of the contours [mm] by step of the search."""
+    """Returns a PNG with two curves over the steps of the search: the distance [mm] of the surfaces and of the
+    contours.
+    """
     figure = Figure(figsize=(6.0, 2.6), dpi=DPI, layout="constrained")
     axis = figure.subplots()
     for column, name in ((1, "surfaces"), (2, "openings")):
@@ -149,7 +159,7 @@ def search_history(history: np.ndarray) -> bytes:
 
 
 def worn_elsewhere(places: list[WornElsewhere]) -> bytes:
-    """The garment on every body and in every pose it was taken to, front above back."""
+    """Returns a PNG of the garment on every body and in every pose that it was taken to, front above back."""
     figure = Figure(figsize=(2.8 * len(places), 7.2), dpi=DPI, layout="constrained")
     axes = figure.subplots(2, len(places), squeeze=False)
     for column, worn in enumerate(places):
@@ -165,7 +175,7 @@ def worn_elsewhere(places: list[WornElsewhere]) -> bytes:
 
 
 def png(figure: Figure) -> bytes:
-    """``figure`` as a PNG with a palette."""
+    """Returns ``figure`` as a PNG with a palette."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     picture = Image.open(buffer).convert("RGB")

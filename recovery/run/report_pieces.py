@@ -43,7 +43,7 @@ SCALES = (1, 2, 4, 5, 8, 10, 12, 15, 20, 25, 30, 40)
 
 
 def add_pieces(page: ReportPage, pattern: Pattern) -> None:
-    """The sections on pieces, seams and edges of ``pattern``."""
+    """Adds the sections on pieces, seams and edges of ``pattern`` to ``page``."""
     sheet = make_sheet(pattern)
     page.section("The pieces")
     page.say(

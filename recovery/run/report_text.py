@@ -61,7 +61,7 @@ def key_figures(outcome: Outcome) -> tuple[str, ...]:
 
 
 def top_of(outcome: Outcome) -> dict[str, Any]:
-    """The figures that a recovery is judged by."""
+    """Returns the figures by name that a recovery is judged by, for JSON."""
     return {
         "distance_mean_mm": outcome.near.distance.mean_mm,
         "chamfer_cm2": outcome.near.chamfer.squared_cm2,
@@ -163,7 +163,7 @@ def seam_max_pct(outcome: Outcome) -> float:
 
 
 def cut_of(outcome: Outcome) -> str:
-    """The cut in words: its base, its panels and seams, and what of the target's it is not."""
+    """Returns the cut in words: its base, its panels and seams, and in what it differs from the target's."""
     pattern = outcome.pattern
     words = f"{outcome.task.cut.called}: {len(pattern.panels)} panels, {len(pattern.stitches)} seams"
     if outcome.written.style:
@@ -173,7 +173,9 @@ def cut_of(outcome: Outcome) -> str:
 
 
 def cut_words(edges_in_body_pct: float, edge_length_m: float) -> list[str]:
-    """A sentence where the drape goes through the body: contact is that of nodes, and edges are chords."""
+    """Returns a list with a sentence if the drape goes through the body, as edges may whose ends are clear; otherwise
+    an empty one.
+    """
     if edges_in_body_pct <= CUT_PCT:
         return []
     return [
@@ -304,7 +306,7 @@ def cloth_words(found: Recovered) -> str:
 
 
 def file_words(name: str) -> str:
-    """The purpose of a written file."""
+    """Returns a phrase on the purpose of a written file called ``name``."""
     if name.endswith("_rest.obj"):
         return "the garment sewn anew, in the T-pose"
     kinds = {

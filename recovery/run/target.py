@@ -31,7 +31,7 @@ OPENINGS = {
 
 
 def placed_target(mesh: GarmentMesh, skin: Avatar, *, unit: Unit = "auto", up: Up = "auto") -> GarmentMesh:
-    """``mesh`` in metres, y up, on ``skin``, with normals outward; refuses one that does not lie on it."""
+    """Returns ``mesh`` in metres, y up, on ``skin``, with normals outward; refuses one that does not lie on it."""
     if not len(mesh.uv):
         mesh = replace(mesh, uv_faces=np.zeros((0, 3), dtype=np.int64))
     mesh = orient_outward(place_on_avatar(mesh, skin, unit=unit, up=up), skin)

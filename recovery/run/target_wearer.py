@@ -71,7 +71,7 @@ class TargetWearer:
 
 
 def shape_body(body: BodyModel, betas: np.ndarray) -> BodyModel:
-    """``body`` whose template has the shape ``betas``; itself where they are zero."""
+    """Returns ``body`` whose template has the shape ``betas``; itself where they are zero."""
     betas = body.check_betas(betas)
     if not betas.any():
         return body
@@ -201,9 +201,9 @@ def up_axis(mesh: GarmentMesh) -> str:
 
 
 def facing(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh``, y up, turned about y by at most a right angle until its limbs lie side by side.
+    """Returns ``mesh``, y up, turned about y by at most a right angle until its limbs lie side by side.
 
-    It is itself where they nearly do, where it has two openings, and where its limbs lie together.
+    It is returned as it is where they nearly do, where it has two openings, and where its limbs lie together.
     """
     contours = long_contours(mesh)
     if len(contours) < 3:
@@ -218,7 +218,9 @@ def facing(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def turn_about(mesh: GarmentMesh, turn_rad: float) -> GarmentMesh:
-    """``mesh`` turned about y by ``turn_rad``, with a note."""
+    """Returns ``mesh`` turned by ``turn_rad`` about a vertical line (along y) through the mean of its vertices. A note
+    on the mesh says so.
+    """
     middle = mesh.vertices.mean(axis=0)
     c, s = np.cos(turn_rad), np.sin(turn_rad)
     vertices = (mesh.vertices - middle) @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]).T + middle

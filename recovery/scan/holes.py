@@ -65,7 +65,9 @@ def known_faces(mesh: GarmentMesh) -> np.ndarray:
 def close_holes(
     mesh: GarmentMesh, is_hole: Callable[[Loop], bool], is_opening: Callable[[Loop], bool] = plainly_opening
 ) -> Closing:
-    """``mesh`` with the bites of its openings and those borders that are holes closed. Faces agree in orientation."""
+    """Returns ``mesh`` with the bites of its openings and those borders that are holes closed. Faces agree in
+    orientation.
+    """
     loops = borders(mesh)
     holes = [one for one in loops if is_hole(one)]
     rims, largest = [one.loop for one in holes], max((one.length for one in holes), default=0.0)
@@ -90,9 +92,10 @@ def close_holes(
 
 
 def unroll_border(mesh: GarmentMesh, loop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The border ``loop`` (n,) laid into the plane by its turning inside the cloth, twice round: (2 n + 1, 2), lengths.
+    """Returns the border ``loop`` (n,) unrolled into the plane, twice round: points (2 n + 1, 2), and the lengths (2 n
+    + 1,) along the line to each.
 
-    The cloth is on the left. Lengths (2 n + 1,) run along the line, which is smoothed a little.
+    The line turns as the border turns inside the cloth, which lies on its left. It is smoothed a little.
     """
     points = mesh.vertices[loop]
     length = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
@@ -245,7 +248,7 @@ def _with_faces(mesh: GarmentMesh, vertices: np.ndarray, faces: np.ndarray) -> G
 
 
 def fair_patches(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` with its patches as smooth as the cloth about them lets them be; mouths of bites stay.
+    """Returns ``mesh`` with its patches as smooth as the cloth about them lets them be; mouths of bites stay.
 
     Least bending (squared umbrella Laplacian); where noise makes that bulge, least area instead.
     """

@@ -65,7 +65,9 @@ def read_target(path: Path, *, label: str | None = None) -> GarmentMesh:
 
 
 def mend_sheet(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` as one sheet: every edge has one face or two, neighbours agree, plain holes and bites are closed."""
+    """Returns ``mesh`` as one sheet: every edge has one face or two, neighbours agree, plain holes and bites are
+    closed.
+    """
     progress.tick("copies and flat faces")
     mesh = without_flat_faces(without_copies(weld(mesh)))
     progress.tick("branches")
@@ -142,7 +144,9 @@ def one_sheet(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def orient_faces(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` with neighbours that agree in orientation, cut where a strip is twisted; refuses what is no cloth."""
+    """Returns ``mesh`` with neighbours that agree in orientation, cut where a strip is twisted. Refuses a mesh that
+    cannot be cloth.
+    """
     turned, cuts = agreeing(mesh)
     if len(cuts) > TWISTED_SHARE * len(mesh.faces):
         raise ScanFault(
@@ -161,7 +165,7 @@ def orient_faces(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def without_turned_hems(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh``, whose faces agree in orientation, cut off at the folds of hems that are turned in."""
+    """Returns ``mesh``, whose faces agree in orientation, cut off at the folds of hems that are turned in."""
     normals = meshes.face_normals(mesh.vertices, mesh.faces)
     pairs = np.stack(meshes.edge_pairs(mesh.faces)[1:]) // 3
     pairs = pairs[:, (normals[pairs[0]] * normals[pairs[1]]).sum(axis=1) > SMOOTH]
@@ -198,7 +202,11 @@ def _strip(mesh: GarmentMesh, one: Loop, normals: np.ndarray, a: np.ndarray, b: 
 
 
 def check_unworn(mesh: GarmentMesh) -> None:
-    """Refuses a scan in which cloth and wearer are one surface, with the tip of a bag, farthest from the openings."""
+    """Refuses (``ScanFault``) a scan in which cloth and wearer are one surface, as where it closes over a head or a
+    hand.
+
+    Such a surface has a bag: a part far from the openings with a narrow mouth. The place of the fault is the bag's tip.
+    """
     rim = meshes.boundary_vertices(mesh.faces)
     graph = mesh_graphs.edge_graph(mesh.vertices, mesh.faces)
     far = csgraph.dijkstra(graph, directed=False, indices=rim, min_only=True)
@@ -234,13 +242,15 @@ class ScanFault(MeshError):
     points: np.ndarray = np.zeros((0, 3))
 
     def at(self, mesh: GarmentMesh, points: np.ndarray) -> ScanFault:
-        """The same fault with its place."""
+        """Returns the same fault with its place: ``points`` (P, 3) on ``mesh``."""
         self.mesh, self.points = mesh, np.asarray(points, dtype=np.float64).reshape(-1, 3)
         return self
 
 
 def in_box(point: np.ndarray, vertices: np.ndarray) -> str:
-    """Where ``point`` is in the garment's own box, for a file whose body is not known; its front is at +z, up at +y."""
+    """Returns a phrase on where ``point`` (3,) lies in the box around ``vertices`` (V, 3), for a file whose body is not
+    known. The garment's front is at +z, up at +y.
+    """
     low, size = vertices.min(axis=0), np.maximum(np.ptp(vertices, axis=0), 1e-300)
     across, up, out = (point - low) / size
     side = "left" if across > 0.6 else "right" if across < 0.4 else "middle"
@@ -251,9 +261,8 @@ def in_box(point: np.ndarray, vertices: np.ndarray) -> str:
 
 
 def on_body(point: np.ndarray, mesh: GarmentMesh, joints: np.ndarray) -> str:
-    """Where ``point`` [m] (3,) is on a garment worn by a body with ``joints`` [m] (24, 3).
-
-    For example "near the left shoulder, 12 cm from the hem at (0.2, 1.1, 0.05) m".
+    """Returns a phrase on where ``point`` [m] (3,) lies on a garment worn by a body with ``joints`` [m] (24, 3), such
+    as "near the left shoulder, 12 cm from the hem at (0.2, 1.1, 0.05) m".
     """
     joint = JOINT_NAMES[int(np.linalg.norm(joints - point, axis=1).argmin())]
     side, _, part = joint.rpartition("_")

@@ -25,7 +25,9 @@ ROUNDS = 2  # of Lloyd's: seeds go to the middles of their cells
 
 
 def thin_mesh(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` with about ``FACE_GOAL`` faces if it has more than ``FACE_LIMIT``. Edges have at most two faces."""
+    """Returns ``mesh`` with about ``FACE_GOAL`` faces if it has more than ``FACE_LIMIT``. Edges have at most two
+    faces.
+    """
     if len(mesh.faces) <= FACE_LIMIT:
         return mesh
     area = float(meshes.face_areas(mesh.vertices, mesh.faces).sum())
@@ -39,7 +41,7 @@ def thin_mesh(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def thin_to_spacing(mesh: GarmentMesh, spacing: float) -> GarmentMesh:
-    """``mesh`` with vertices about ``spacing`` apart."""
+    """Returns ``mesh`` with vertices about ``spacing`` apart."""
     vertices, faces = mesh.vertices, mesh.faces
     graph = mesh_graphs.edge_graph(vertices, faces)
     loops = meshes.boundary_loops(faces)
@@ -137,7 +139,9 @@ def roughness(mesh: GarmentMesh) -> float:
 
 
 def smooth_noise(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` without the noise of its vertices, if there is any: smoothed as by Taubin (1995); borders stay lines."""
+    """Returns ``mesh`` without the noise of its vertices, if there is any: smoothed as by Taubin (1995); borders stay
+    lines.
+    """
     if roughness(mesh) <= NOISE:
         return mesh
     matrix = mesh_graphs.umbrella_laplacian(mesh.faces, len(mesh.vertices))

@@ -53,7 +53,9 @@ class StaticAssembly:
         return sum((one @ stack.reshape(-1) for one, stack in pairs), np.zeros(self.size)).reshape(-1, 3)
 
     def matrix(self, stacks: list[np.ndarray], *, blocks: np.ndarray, scale: float) -> scipy.sparse.csc_matrix:
-        """``scale`` times the sum of element Hessians (3 corner, 3 corner, n), plus ``blocks`` (V, 3, 3) of nodes."""
+        """Returns ``scale`` times the sum of element Hessians (3 corner, 3 corner, n), plus ``blocks`` (V, 3, 3) of
+        nodes.
+        """
         data = np.zeros(self.entry_count)
         for one, stack in zip(self._hessian_maps, stacks, strict=True):
             data += one @ stack.reshape(-1)

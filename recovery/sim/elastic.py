@@ -38,10 +38,11 @@ def elastic_hessian(
     scale: float = 1.0,
     blocks: np.ndarray | None = None,
 ) -> scipy.sparse.csc_matrix:
-    """``scale`` times the second derivative [N/m] (3V, 3V) of ``elastic_energy``, plus ``blocks`` (V, 3, 3) of nodes.
+    """Returns ``scale`` times the second derivative [N/m] (3V, 3V) of ``elastic_energy``, plus ``blocks`` (V, 3, 3)
+    of the nodes.
 
-    Rows and columns of fixed nodes are those of the identity. ``definite`` makes every element positive
-    semidefinite: triangles keep the tensile stress only, hinges are as stiff as unbent ones.
+    Rows and columns of fixed nodes are those of the identity. ``definite`` makes every element positive semidefinite:
+    triangles keep the tensile stress only, hinges are as stiff as unbent ones.
     """
     stretched = membrane.membrane_hessian(model.triangles(x), rest.triangles, parameters.membrane, definite=definite)
     bent = bending.bending_hessian(model.hinges(x), *_hinges(model, rest, parameters), definite=definite)
@@ -50,7 +51,9 @@ def elastic_hessian(
 
 
 def work(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor, direction: Tensor) -> Tensor:
-    """Derivative of ``elastic_energy`` along ``direction`` (V, 3); differentiable once more."""
+    """The derivative () of ``elastic_energy`` along ``direction`` (V, 3), in [J] for a direction in [m]; differentiable
+    once more.
+    """
     directions = model.triangles(direction), model.hinges(direction)
     gradients = _gradients(model, rest, parameters, x)
     return torch.stack([(slope * way).sum() for slope, way in zip(gradients, directions, strict=True)]).sum()
@@ -59,7 +62,9 @@ def work(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor, direc
 def elastic_bilinear(
     model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor, left: Tensor, right: Tensor
 ) -> Tensor:
-    """``left``^T H ``right`` for the definite ``elastic_hessian`` H, without the matrix; differentiable once more."""
+    """The number ``left``^T H ``right`` () for the definite ``elastic_hessian`` H and node vectors (V, 3), without the
+    matrix; differentiable once more.
+    """
     stretched = membrane.membrane_bilinear(
         model.triangles(x), rest.triangles, parameters.membrane, model.triangles(left), model.triangles(right)
     )

@@ -29,7 +29,8 @@ class ImplicitProblem(Protocol):
         ...
 
     def adjoint(self, weights: Tensor, solution: Tensor, state: ClothState, parameters: Parameters) -> Tensor:
-        """-w . r(s, p), differentiable by ``state`` and ``parameters``."""
+        """Returns -w . r (), differentiable by ``state`` and ``parameters``, for the ``weights`` w (V, 3) and the
+        residual r (V, 3) of the equations at ``solution``."""
         ...
 
     @property

@@ -139,7 +139,7 @@ class GridDistance:
 
 
 def check_closed(vertices: np.ndarray, faces: np.ndarray, name: str = "body") -> np.ndarray:
-    """``faces`` (F, 3) as integers. Raises ``MeshError`` for an open or empty mesh: it has no inside."""
+    """Returns ``faces`` (F, 3) as integers. Raises ``MeshError`` for an open or empty mesh: it has no inside."""
     faces = meshes.check_faces(faces, len(vertices))
     loops = meshes.boundary_loops(faces)
     if len(faces) == 0 or loops:

@@ -88,8 +88,9 @@ class AvatarWears(AvatarInfo):
 
 
 def facts_of(wearer: Wearer, name: str, own: Sequence[Garment] | None, stiff: dict[str, str]) -> AvatarFacts:
-    """What clients are told of ``wearer``, whose id is ``name``, and of its ``own`` clothes, where these were asked
-    for."""
+    """Returns the facts of ``wearer``, whose id is ``name``, that clients are told, and those of its ``own`` clothes if
+    these were asked for.
+    """
     parts = wearer.attire.parts
     alive = None if own is None else [
         OwnGarment(garment=own_id(name, one), kind=one.manifest[OWN]["kind"],

@@ -40,8 +40,9 @@ MOST_WORN = 4
 
 
 class OwnFiles(NamedTuple):
-    """What is stored of the clothes that a character came in: the ``caches`` of them, and ``stiff``: why others
-    are no cloth, by their parts."""
+    """The stored clothes that a character came in: the ``caches`` of them, and ``stiff``, which says of other
+    parts why they are no cloth.
+    """
 
     caches: Sequence[Path]
     stiff: dict[str, str]
@@ -49,7 +50,7 @@ class OwnFiles(NamedTuple):
 
 @dataclass(frozen=True)
 class AvatarRecord:
-    """What is stored of an avatar beside its files."""
+    """The record that is stored beside an avatar's files."""
 
     id: str
     told: AvatarFacts
@@ -120,11 +121,11 @@ class Avatars:
 
     @property
     def worn(self) -> tuple[BodyStages, ...]:
-        """The bodies of those that wear garments."""
+        """Returns the bodies, with their stages, of the avatars that wear garments."""
         return tuple(stages for one in list(self._worn.values()) for stages in list(one.stages.values()))
 
     def visible(self, viewer: str | None) -> list[AvatarEntry]:
-        """Those that the key ``viewer`` may know of."""
+        """Returns the avatars that the key ``viewer`` may know of."""
         return [entry for entry in list(self._entries.values()) if entry.seen_by(viewer)]
 
     def get(self, name: str, viewer: str | None = None) -> AvatarEntry:

@@ -118,7 +118,7 @@ class DrapeRuntime(Runtime):
 
     @property
     def device_bytes(self) -> int:
-        """Memory of the garments' constants where the graphs compute."""
+        """The memory [bytes] of the garments' constants where the graphs compute."""
         bodies = (self.worn, *self.avatars.worn)
         return sum(stage.held_bytes for body in bodies for stage in body.stages)
 

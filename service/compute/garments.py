@@ -66,7 +66,7 @@ class Registry:
         return list(self._entries.values())
 
     def visible(self, viewer: str | None) -> list[Entry]:
-        """Those that the key ``viewer`` may know of."""
+        """Returns the garments that the key ``viewer`` may know of."""
         return [entry for entry in self.entries() if entry.seen_by(viewer)]
 
     def get(self, name: str, viewer: str | None = None) -> Entry:
@@ -189,7 +189,7 @@ def _read(path: Path, body: BodyModel, max_vertices: int) -> Garment:
 
 
 def slug(name: str) -> str:
-    """``name`` with only letters, digits, dot, dash and underscore."""
+    """Returns ``name`` with only letters, digits, dot, dash and underscore."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.")[:80] or "garment"
 
 

@@ -15,7 +15,9 @@ log = logging.getLogger("drape.service")
 
 
 def parsed_record(kind: type[Kind], path: Path) -> Kind:
-    """The ``kind``, a dataclass or a model, in the JSON at ``path``; ``ValueError`` where it is another, or none."""
+    """Returns what the JSON at ``path`` holds as a ``kind``, a dataclass or a model. Raises ``ValueError`` where it
+    does not fit, or is no JSON.
+    """
     return _adapter(kind).validate_json(path.read_bytes())
 
 

@@ -32,7 +32,9 @@ _started: weakref.WeakSet[Process] = weakref.WeakSet()
 
 
 def start_process(module: str, *arguments: str, stdin: Any = subprocess.PIPE, quiet: bool = False) -> Process:
-    """``python -m module`` in a session of its own with a pipe as standard output; ``quiet``: without its errors."""
+    """Starts ``python -m module`` in a session of its own, with a pipe as standard output, and returns the process. If
+    it is ``quiet``, its errors are thrown away.
+    """
     process = subprocess.Popen(
         [sys.executable, "-m", module, *arguments],
         cwd=ROOT,

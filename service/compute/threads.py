@@ -63,11 +63,13 @@ class ComputeThreads:
 
     @property
     def streaming(self) -> bool:
-        """Whether there are streams that move."""
+        """Whether the computing of a stream's frame has begun within the last ``STREAM_PAUSE_S``."""
         return time.monotonic() - self.streamed_s <= STREAM_PAUSE_S
 
     async def for_streams(self, function: Callable[..., Result], *arguments: object) -> Result:
-        """``function(*arguments)``, which computes frames of streams, on one of their threads."""
+        """Runs ``function(*arguments)``, which computes frames of streams, on one of their threads, and returns its
+        result.
+        """
         done = self._frame_done = asyncio.Event()
         try:
             return await asyncio.get_running_loop().run_in_executor(self._for_streams, _here(function, *arguments))
@@ -166,7 +168,9 @@ class SlicedThread:
         return await asyncio.get_running_loop().run_in_executor(self._executor, partial(function, *arguments))
 
     async def brief(self, text: bytes, function: Callable[..., Result], *arguments: object) -> Result:
-        """``function(*arguments)`` of a ``text``: at once where it is short, else as one piece."""
+        """Returns ``function(*arguments)``, which works on ``text``: computed at once where the text is short, else as
+        one piece of the thread's work.
+        """
         return function(*arguments) if len(text) <= BRIEF_TEXT else await self.run(function, *arguments)
 
     async def each(self, pieces: Iterator[Result]) -> AsyncIterator[Result]:

@@ -76,7 +76,9 @@ def write_frame(folder: Path, number: int, x: np.ndarray, told: dict[str, Any]) 
 
 
 def read_frame(folder: Path, number: int) -> tuple[np.ndarray, dict[str, Any]] | None:
-    """What ``write_frame`` stored; None where there is no such frame."""
+    """Returns the vertices [m] (V, 3) of a frame and what was told of it, as ``write_frame`` stored them; None where
+    there is no such frame.
+    """
     go_on()
     try:
         with np.load(frame_path(folder, number), allow_pickle=False) as stored:

@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 
 
 def check_host(headers: Mapping[str, str], settings: Settings) -> None:
-    """Refuses a request for a name that is not ours; addresses pass: no foreign page has ours as its name."""
+    """Refuses a request that was sent to a host name that is not ours.
+
+    Addresses pass: a page of another site cannot make a browser send one in place of its own name.
+    """
     host = headers.get("host")
     if host is None or "*" in settings.allowed_hosts:
         return

@@ -49,7 +49,7 @@ class Tickets:
         return name
 
     def sign(self, raw: bytes) -> bytes:
-        """The signature, 32 bytes, of ``raw``, which is no ticket and cannot be taken for one."""
+        """Returns the signature (32 bytes) of ``raw``, which is not a ticket and, signed, cannot be taken for one."""
         return hmac.new(self._secret, b"state\0" + raw, hashlib.sha256).digest()
 
     def _signature(self, body: str) -> str:

@@ -71,14 +71,14 @@ def _covers(pattern: str, kind: str) -> int:
 def json_answer(
     document: Mapping[str, object], sliced_thread: SlicedThread, headers: Mapping[str, str] | None = None
 ) -> StreamingResponse:
-    """``document``, whose arrays become lists, as JSON."""
+    """Returns the answer that sends ``document`` as JSON; arrays in it become lists."""
     return StreamingResponse(sliced_thread.each(json_pieces(document)), media_type=JSON, headers=headers)
 
 
 def binary_answer(
     array: np.ndarray, sliced_thread: SlicedThread, headers: Mapping[str, str], *, tail: bytes = b""
 ) -> Response:
-    """``array`` as little-endian float32, then ``tail``."""
+    """Returns the answer that sends ``array`` as little-endian float32, and then ``tail``."""
     if array.nbytes <= BRIEF_BYTES:
         return Response(b"".join([*number_bytes(array), tail]), media_type=BINARY, headers={**headers})
     headers = {**headers, "Content-Length": str(4 * array.size + len(tail))}
@@ -87,14 +87,14 @@ def binary_answer(
 
 
 def number_bytes(array: np.ndarray) -> Iterator[bytes]:
-    """``array`` as little-endian float32, in pieces."""
+    """Yields ``array`` as little-endian float32, in pieces."""
     return (part.astype("<f4", copy=False).tobytes() for part in _parts(array, PIECE_BYTES // 4))
 
 
 def file_answer(
     file: GlbFile, head: bytes, sliced_thread: SlicedThread, headers: Mapping[str, str]
 ) -> StreamingResponse:
-    """``file``, which begins with its ``head``."""
+    """Returns the answer that sends ``file``, of which ``head`` is the beginning."""
     headers = {**headers, "Content-Length": str(len(head) + file.binary_bytes)}
     pieces = itertools.chain((head,), file.pieces())
     return StreamingResponse(sliced_thread.each(pieces), media_type=GLB, headers=headers)
@@ -103,7 +103,7 @@ def file_answer(
 def messages_answer(
     messages: Sequence[bytes], sliced_thread: SlicedThread, headers: Mapping[str, str]
 ) -> StreamingResponse:
-    """``messages`` one after the other, a few at a time."""
+    """Returns the answer that sends ``messages`` one after the other, a few at a time."""
     size = sum(len(message) for message in messages)
     count = max(1, PIECE_BYTES * len(messages) // max(size, 1))
     pieces = (b"".join(messages[start : start + count]) for start in range(0, len(messages), count))
@@ -124,7 +124,7 @@ def json_pieces(document: Mapping[str, object]) -> Iterator[bytes]:
 
 
 def number_pieces(array: np.ndarray) -> Iterator[bytes]:
-    """``array`` as nested lists of at most ``PIECE_NUMBERS`` numbers a piece."""
+    """Yields the JSON text of ``array``, as nested lists of at most ``PIECE_NUMBERS`` numbers a piece."""
     if array.size <= PIECE_NUMBERS:
         yield to_json(array.tolist())
         return

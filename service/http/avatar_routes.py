@@ -45,7 +45,7 @@ KINDS = (BINARY, "model/gltf-binary", "model/vrm")
 
 @dataclass(frozen=True)
 class Clothes:
-    """What a character is asked about in."""
+    """The clothes in which a character is asked about."""
 
     garments: Annotated[
         str, Query(max_length=1000, description="The ids of the garments that it wears, separated by commas.")
@@ -216,7 +216,9 @@ async def _scene(state: StateHere, avatar_id: str, clothes: Clothes, client: Cli
 
 
 def bare_skin(stored: Path, wearer: Wearer, left: Undressed) -> bytes:
-    """The GLB of what is seen of ``wearer``, which is ``stored``, where clothes are not drawn by ``left``."""
+    """Returns the GLB of the skin of ``wearer``, stored at ``stored``, that is seen where the clothes that ``left``
+    takes off are not drawn.
+    """
     return bare_file(wearer, load_file_rig(stored), left).to_bytes()
 
 

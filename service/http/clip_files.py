@@ -138,7 +138,7 @@ def move_garments(scene: Scene, placed: Placed) -> tuple[list[MovingGarment], np
 
 
 def point_cache(placed: Placed) -> Iterator[bytes]:
-    """``placed`` as PC2, in pieces."""
+    """Yields ``placed`` as a PC2 file, in pieces."""
     vertices, _ = placed.from_first()
     return itertools.chain([pc2_head(vertices.shape[1], len(vertices))], number_bytes(vertices))
 

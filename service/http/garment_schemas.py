@@ -10,7 +10,7 @@ from drape.files.looks import Material
 
 
 class WearerLikely(BaseModel):
-    """A body that may have worn a garment, by its cloth."""
+    """A body that may have worn a garment, as it was found from the cloth."""
 
     height_m: float = Field(description="Standing, without shoes.")
     unit: str = Field(description="Of the file: a unit's name, or a size between the units in metres.")
@@ -26,7 +26,7 @@ class WearerLikely(BaseModel):
 
 
 class WearerFound(WearerLikely):
-    """Who wore a garment, by its cloth."""
+    """The body that wore a garment, as it was found from the cloth."""
 
     others: list[WearerLikely] = Field(
         default=[], description="At most two bodies that are nearly as likely, the likelier first; none when sure."
@@ -41,7 +41,7 @@ class LooksDocument(BaseModel):
 
     @staticmethod
     def of(surface: Surface) -> LooksDocument:
-        """The answer about what is drawn of a garment."""
+        """Returns the answer about the looks of what is drawn of a garment."""
         held = surface.face_material.astype(np.int64)
         starts = np.flatnonzero(np.diff(held, prepend=-1))
         counts = np.diff(starts, append=len(held))

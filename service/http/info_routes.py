@@ -215,7 +215,7 @@ async def make_ticket(request: Request, state: StateHere, client: ClientHere) ->
 
 
 def probe_routes(lifecycle: Lifecycle, metrics: Metrics) -> APIRouter:
-    """``/livez``, ``/readyz`` and ``/metrics``, of which the last is for clients alone."""
+    """Returns the routes ``/livez``, ``/readyz`` and ``/metrics``, of which the last is for clients alone."""
     probes = APIRouter()
 
     async def probe(request: Request) -> Response:

@@ -37,7 +37,9 @@ def clip_marks(max_frames: int) -> int:
 
 
 def read_document(text: bytes, *, otherwise: str = NO_JSON) -> Any:
-    """The parsed ``text``; refuses more than ``SMALL_MARKS`` marks, and what is no JSON as ``otherwise``."""
+    """Returns the parsed ``text``. Refuses more than ``SMALL_MARKS`` marks, and text that is not JSON with the sentence
+    ``otherwise``.
+    """
     marks = 0
     for more in _marks(text):
         marks = _counted(marks + more, SMALL_MARKS)
@@ -72,7 +74,9 @@ def _counted(marks: int, most_marks: int) -> int:
 
 
 def parse_text(text: bytes, *, otherwise: str = NO_JSON) -> Any:
-    """The parsed ``text``, whose marks were counted; refuses what is no JSON as ``otherwise``."""
+    """Returns the parsed ``text``, whose marks were counted. Refuses text that is not JSON with the sentence
+    ``otherwise``.
+    """
     try:
         return from_json(text, cache_strings="none")
     except ValueError as error:

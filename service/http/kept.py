@@ -72,5 +72,5 @@ def tag_is_known(tag: str, known: str) -> bool:
 
 
 def packed_text(content: bytes) -> bytes:
-    """``content`` compressed, the same bytes every time."""
+    """Returns ``content`` compressed; the same content gives the same bytes every time."""
     return gzip.compress(content, LEVEL, mtime=0)

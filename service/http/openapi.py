@@ -46,7 +46,7 @@ def body_schema(model: type[Schema], **others: dict[str, Any]) -> dict[str, Any]
 
 
 def clip_schema(model: type[Schema]) -> dict[str, Any]:
-    """``body_schema`` of a route that takes the motion as a CLIP message too."""
+    """Returns the ``body_schema`` of a route that takes the motion as a CLIP message too."""
     description = "A CLIP message (docs/reference/wire.md): the poses as float64, then all other fields as JSON."
     return body_schema(model, **{BINARY: BYTES | {"description": description}})
 

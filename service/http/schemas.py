@@ -158,7 +158,7 @@ class Problem(BaseModel):
 
 
 class CardHealth(BaseModel):
-    """Says how a graphics card does that draws folds, or why it does not."""
+    """The state of a graphics card that computes folds, or why it does not."""
 
     name: str
     fault: str = Field(description="Why frames are the processor's, in a sentence. Empty while the card draws.")
@@ -229,7 +229,7 @@ class TierInfo(BaseModel):
 
     @classmethod
     def of(cls, tier: Tier, pass_count: int, *, default: TierName) -> TierInfo:
-        """``tier`` of a model that leaves ``pass_count`` passes to choose."""
+        """Returns the answer about ``tier``, of a model that leaves ``pass_count`` passes to choose."""
         passes, alone = (min(pass_count, pass_count if p is None else p) for p in (tier.passes, tier.alone))
         named = TypeAdapter(TierName).validate_python(tier.name)
         return cls(

@@ -56,7 +56,7 @@ class Brought:
 
 
 class Handover:
-    """Makes and reads the states of streams, and counts the bytes that are held of those which come in."""
+    """Makes and reads the states of streams, and counts the bytes of incoming states that are held."""
 
     def __init__(self, runtime: DrapeRuntime, tickets: Tickets) -> None:
         self._runtime, self._tickets = runtime, tickets

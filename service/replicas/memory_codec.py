@@ -21,9 +21,11 @@ _ALIGNED = 16
 
 
 def encode_value(value: Any, classes: Sequence[type], constants: Sequence[object] = ()) -> bytes:
-    """``value`` of numbers, texts, bytes, arrays, tuples and instances of ``classes`` (dataclasses, named tuples).
+    """Returns the bytes that encode ``value``: numbers, texts, bytes, arrays, tuples and instances of ``classes``
+    (dataclasses, named tuples).
 
-    One that equals one of the ``constants`` is written as its place among them. Raises ``TypeError`` for another type.
+    A part that equals one of the ``constants`` is written as its place among them. Raises ``TypeError`` for another
+    type.
     """
     arrays = bytearray()
     names = {kind: _name(kind) for kind in classes}

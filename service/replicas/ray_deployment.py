@@ -116,8 +116,9 @@ def surplus(streams: int, before: frozenset[str], now: frozenset[str]) -> int:
 
 
 def check_replicas(settings: Settings, least: int, most: int) -> None:
-    """Refuses (``InputError``) numbers of replicas that are none, and several that could not read each other's states
-    or would take the same port."""
+    """Refuses (``InputError``) impossible numbers of replicas, and several that could not read each other's states or
+    would take the same port.
+    """
     if not 1 <= least <= most:
         got = f"{least} {most}"
         raise InputError("--replicas", expected="the least and the most, from 1", got=got, cure="Say --replicas 1 4.")

@@ -50,7 +50,7 @@ LEVEL = 6  # of compression
 
 @dataclass(frozen=True)
 class Asked:
-    """What a folder shall hold: the garment, the clips, the options of the drape, and the body's shape."""
+    """The wanted contents of a folder: the garment, the clips, the options of the drape, and the body's shape."""
 
     garment: str
     motions: tuple[str, ...]

@@ -37,7 +37,7 @@ log = logging.getLogger("drape.service")
 
 @router.websocket("/stream")
 async def stream(socket: WebSocket) -> None:
-    """One client, from its handshake to its close."""
+    """Serves one client of the stream, from its handshake to its close."""
     state: State = socket.app.state.drape
     offered = socket.scope.get("subprotocols", [])
     try:

@@ -30,7 +30,7 @@ SEND_S = 1.0  # for taking a frame, a state or a refusal; then the connection is
 
 @dataclass(frozen=True, eq=False)
 class Opening:
-    """What a client asks of its stream.
+    """The stream that a client asks for.
 
     ``steps``: ``plan`` as each tier holds it, the one that computes least first. ``moves``: the stream can go on at
     another process. ``same``: the client takes the word that its frame still holds in place of the frame. ``wearer``:

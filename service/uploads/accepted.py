@@ -69,7 +69,7 @@ class Accepted:
         sync(folder.parent)
 
     def tried(self, folder: Path) -> Accepted:
-        """The same with one attempt more, written."""
+        """Returns the same upload with one attempt more, after writing it to ``folder``."""
         again = replace(self, attempts=self.attempts + 1)
         again.write(folder)
         return again

@@ -48,7 +48,7 @@ THINGS = {
 
 
 def set_limits(*, memory_mb: int, cpu_s: int) -> None:
-    """Address space, processor time, size of files; no core dumps."""
+    """Limits the address space, the processor time and the size of files of this process, and forbids core dumps."""
     memory = memory_mb * 2**20
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 2))

@@ -39,7 +39,7 @@ log = logging.getLogger("drape.access")
 
 @dataclass(frozen=True)
 class Asker:
-    """Who asked what is being answered: the request's id, the client's address, and where."""
+    """The request that is being answered: its id, the address of its client, and its scope."""
 
     request: str
     client: str
@@ -68,7 +68,7 @@ class JsonLines(logging.Formatter):
 
 
 class TextLines(logging.Formatter):
-    """The same for people at a terminal."""
+    """Each record as lines of text, for people at a terminal."""
 
     def format(self, record: logging.LogRecord) -> str:
         told = " ".join(f"{name}={value}" for name, value in _about(record).items())

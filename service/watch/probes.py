@@ -102,7 +102,7 @@ def _refusal(error: DrapeError) -> Answer:
 
 
 class Probes(ThreadingHTTPServer):
-    """The same answers from a thread of its own on a listening socket; ``with`` starts and ends it."""
+    """Answers probes (``probe_answer``) from a thread of its own on a listening socket; ``with`` starts and ends it."""
 
     daemon_threads = True
 
@@ -137,7 +137,7 @@ class Probes(ThreadingHTTPServer):
             self._places.release()
 
     def handle_error(self, request, client_address) -> None:
-        """A client that left is no error of ours."""
+        """Does nothing: a client that left is no error of ours."""
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -39,8 +39,10 @@ class Tracing:
 
     @contextmanager
     def request(self, method: str, headers: Mapping[str, str], request: str) -> Iterator[Answered]:
-        """A request from its head to its answer's end, under the ``traceparent`` of its ``headers`` if they have one.
-        ``request``: the id that log lines give it."""
+        """Traces a request while the block runs, under the ``traceparent`` of its ``headers`` if they have one.
+
+        It yields the ``Answered`` that is told the status. ``request``: the id that log lines give it.
+        """
         if self._tracer is None:
             yield Answered(None)
             return

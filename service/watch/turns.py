@@ -22,8 +22,10 @@ COLLECTOR = "collector"
 
 
 class LoopWatch:
-    """Counts what holds the loop for longer than ``BRIEF_S``: in ``Metrics.loop_held`` the time that it ``ran`` on a
-    processor, and that it ``waited``, for Python's lock, a processor or a disk."""
+    """Counts in ``Metrics.loop_held`` the steps and collections that hold the loop for ``BRIEF_S`` or longer.
+
+    ``ran`` is their time on a processor. ``waited`` is the rest: for Python's lock, a processor or a disk.
+    """
 
     def __init__(self, metrics: Metrics) -> None:
         self._metrics, self._begun_s = metrics, 0.0

@@ -44,8 +44,9 @@ def spent_s(number: int, *, thread: bool = False) -> float:
 
 @dataclass(eq=False)
 class WatchedJob:
-    """What runs in a ``lane``. ``clocks`` return the processor time [s] that it takes; ``thread`` is the one whose
-    stack is told."""
+    """A running job of a ``lane``. ``clocks`` return the processor time [s] that it takes; ``thread`` is the one whose
+    stack is told.
+    """
 
     lane: str
     clocks: list[Callable[[], float]]
@@ -57,7 +58,7 @@ class WatchedJob:
         self._spent_s, self._begun_s = sum(clock() for clock in self.clocks), self.moved_s
 
     def look(self, now_s: float) -> float:
-        """For how long [s] it has not moved."""
+        """Returns for how long [s] the job has not moved."""
         spent = sum(clock() for clock in self.clocks)
         endless = self.thread and now_s - self._begun_s > MOST_S
         if self.silent and not endless and abs(spent - self._spent_s) > SHARE * (now_s - self.moved_s):
@@ -65,7 +66,7 @@ class WatchedJob:
         return now_s - self.moved_s
 
     def stack(self) -> list[traceback.FrameSummary]:
-        """Where its thread is; empty for that of a process."""
+        """Returns the stack of the job's thread; an empty one for a process."""
         frame = sys._current_frames().get(self.thread)
         return [] if frame is None else traceback.extract_stack(frame)
 
@@ -87,7 +88,10 @@ def waits_for(clock: Callable[[], float]) -> None:
 
 
 class ThreadLane(ThreadPoolExecutor):
-    """Threads whose calls are jobs of the lane ``name``. In a ``brief`` lane each call counts as one move."""
+    """A pool of threads, each of whose calls is a job of the lane ``name`` that the watchdog looks at.
+
+    In a ``brief`` lane a call is expected to end soon: taking processor time does not count as moving.
+    """
 
     def __init__(self, name: str, threads: int | None = None, *, brief: bool = False, **more: Any) -> None:
         super().__init__(threads, thread_name_prefix=f"drape-{name}", **more)
@@ -147,7 +151,7 @@ class Watchdog:
 
 
 def end_when_told() -> None:
-    """From now on SIGTERM ends this process within 15 s, 5 after its drain, whatever hangs; ``told_to_end`` sees it.
+    """Lets SIGTERM end this process within 15 s, 5 after its drain, whatever hangs; ``told_to_end`` sees it.
 
     A handler of Python waits for the main thread and for the interpreter lock. These are functions of C, which get the
     signal's number: ``alarm(15)`` of SIGTERM and, after all stacks, ``_exit(14)`` of the alarm, as nothing else ends a

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import importlib.util
 import re
@@ -17,6 +18,7 @@ CURRENT = [path for path in DOCUMENTS if ARCHIVE not in path.parents]
 COMMAND = re.compile(r"python -m ([A-Za-z_][\w.]*)")
 OF_A_COMMIT = re.compile(r"commit [0-9a-f]{7,}")
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)(?:\s+\"[^\"]*\")?\)")
+IMPORT = re.compile(r"^from ([\w.]+) import ([\w, ]+)$", re.MULTILINE)
 CODE = re.compile(r"```[a-z]*\n(.*?)```|`([^`\n]+)`", re.DOTALL)
 MAKE_TARGET = re.compile(r"^(?:[A-Z_]+=\S+ )*make ([a-z][a-z0-9-]*)", re.MULTILINE)
 
@@ -45,6 +47,42 @@ def our_commands(document: Path) -> set[str]:
 @pytest.mark.parametrize("document", sorted({*CURRENT} - {LOG}), ids=lambda path: str(path.relative_to(ROOT)))
 def test_commands_in_documents_exist(document: Path):
     assert {name for name in our_commands(document) if not is_command(name)} == set()
+
+
+def names_in(module: str) -> set[str]:
+    """The names that ``module`` defines or imports at its top, and its submodules, without running it."""
+    spec = importlib.util.find_spec(module)
+    assert spec is not None and spec.origin is not None, module
+    below = {path.stem for folder in spec.submodule_search_locations or () for path in Path(folder).glob("*.py")}
+    body = ast.parse(Path(spec.origin).read_text(encoding="utf-8")).body
+    bound = {node.id for part in body for node in ast.walk(part) if isinstance(node, ast.Name)}
+    imported = {name.asname or name.name for part in body if isinstance(part, ast.ImportFrom) for name in part.names}
+    defined = {part.name for part in body if isinstance(part, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)}
+    return below | bound | imported | defined
+
+
+@pytest.mark.parametrize("document", sorted({*CURRENT} - {LOG}), ids=lambda path: str(path.relative_to(ROOT)))
+def test_examples_in_documents_import_what_exists(document: Path):
+    found = IMPORT.findall(document.read_text(encoding="utf-8"))
+    asked = {(module, name) for module, names in found for name in re.findall(r"(\w+)(?: as \w+)?", names)}
+    ours = {(module, name) for module, name in asked if module.partition(".")[0] in PACKAGES}
+    assert {(module, name) for module, name in ours if name not in names_in(module)} == set()
+
+
+def files_of_tables(document: Path) -> set[str]:
+    """The Python files that rows name below a head that says "file of `FOLDER`", by their paths."""
+    folder, found = "", set[str]()
+    for line in document.read_text(encoding="utf-8").splitlines():
+        head = re.search(r"\| file of `([\w/]+)`", line)
+        folder = head[1] if head else folder if line.startswith("|") else ""
+        for name in re.findall(r"`([\w/]+\.py)`", line) if folder else ():
+            found.add(name if name.startswith(tuple(PACKAGES)) else f"{folder}/{name}")
+    return found
+
+
+@pytest.mark.parametrize("document", sorted({*CURRENT} - {LOG}), ids=lambda path: str(path.relative_to(ROOT)))
+def test_files_in_tables_of_documents_exist(document: Path):
+    assert {name for name in files_of_tables(document) if not (ROOT / name).is_file()} == set()
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))

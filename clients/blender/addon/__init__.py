@@ -42,7 +42,7 @@ class Preferences(bpy.types.AddonPreferences):
 
 
 class SceneSettings(bpy.types.PropertyGroup):
-    """What is draped in a scene."""
+    """The panel's settings of a scene: who wears what, and how it is baked."""
 
     armature: PointerProperty(name="Character", type=bpy.types.Object, poll=lambda self, one: one.type == "ARMATURE")
     garment: named("Garment", "garments")

@@ -27,7 +27,7 @@ HEAVIEST = 4  # bones of a vertex
 class SceneCharacter:
     """The character of ``armature``, an object of the scene, with its ``bones``; ``body``: its id where it is ours.
 
-    ``units``: of the scene, per unit of the armature. Refuses what is no armature, and one that is stretched.
+    ``units``: of the scene, per unit of the armature. Refuses an object that is not an armature, and a stretched one.
     """
 
     def __init__(self, armature: Any) -> None:
@@ -55,8 +55,9 @@ class SceneCharacter:
         self._undo = [(self._upright @ held[name].matrix_local.to_3x3()).inverted() for name in bones]
 
     def stands(self, depsgraph: Any, pelvis: str) -> tuple[list[Any], Any]:
-        """What each bone has turned by since its rest, a quaternion seen from its parent, and where the head of the
-        bone ``pelvis`` is, in units of the scene; both y up."""
+        """Returns how each bone has turned since its rest, as a quaternion relative to its parent, and where the head
+        of the bone ``pelvis`` is, in units of the scene. Both are y up.
+        """
         armature = self.armature.evaluated_get(depsgraph)
         world, posed = armature.matrix_world, armature.pose.bones
         moved = zip((posed[name].matrix.to_3x3() for name in self.bones), self._undo, strict=True)

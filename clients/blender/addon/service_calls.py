@@ -40,7 +40,7 @@ def refusal_of(document: Mapping[str, str]) -> Refusal:
 
 
 class Service:
-    """A service at ``url``; ``key`` says who asks, where it wants to know."""
+    """A service at ``url``; ``key`` is the API key, empty where the service asks for none."""
 
     def __init__(self, url: str, key: str = "") -> None:
         self.url, parts = url.strip().rstrip("/"), urlsplit(url.strip())
@@ -73,7 +73,7 @@ class Service:
             raise Refusal(f"service at {self.url}", expected="an answer", got=got, cure=cure) from error
 
     def json(self, *names: str, method: str = "GET", content: bytes | None = None, **query: str) -> Any:
-        """The document at the path of ``names``."""
+        """Returns the parsed JSON that the service answers at the path made of ``names``."""
         path = "".join(f"/{quote(name, safe='')}" for name in names) + (f"?{urlencode(query)}" if query else "")
         with self.asked(method, path, content) as answer:
             text = answer.read()
@@ -88,7 +88,9 @@ class Service:
 
 
 def avatar_of(service: Service, glb: bytes, name: str, told: Told) -> dict[str, Any]:
-    """What the service tells of the character ``glb``, which is sent where it has none of this ``name``."""
+    """Returns what the service tells of the avatar called ``name``. If it has none, the character ``glb`` is uploaded
+    first.
+    """
     if found := [one for one in service.json("avatars") if one["name"] == name]:
         return found[0]
     job = service.json("avatars", method="POST", content=glb, name=f"{name}.glb")

@@ -42,7 +42,11 @@ def read_zip(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
 
 
 def files_beside(files: Files, folder: PurePosixPath) -> Beside:
-    """Gives of ``files`` what a mesh in ``folder`` names: at its path from there, else by its last name."""
+    """Returns a function that gives the content of a file that a mesh in ``folder`` names, None where ``files`` lacks
+    it.
+
+    The file is looked for at its path from ``folder``, and else by the last part of its name.
+    """
 
     def beside(wanted: str) -> bytes | None:
         plain = str(PurePosixPath(wanted.replace("\\", "/")))

@@ -71,7 +71,10 @@ def plain_mesh(name: str, vertices: np.ndarray, faces: np.ndarray | list[list[in
 
 
 def fans(sides: np.ndarray) -> np.ndarray:
-    """Rows (F, 3) of the corners of triangles in which polygons with ``sides`` corners are cut from their first."""
+    """Returns triangles (F, 3) that cut polygons into fans from their first corners, as rows of the polygons' corners.
+
+    ``sides`` (P,) is the number of corners of each polygon; their corners lie one after the other.
+    """
     start = np.cumsum(sides) - sides
     first = np.repeat(start, sides - 2)
     step = np.arange(len(first)) - np.repeat(np.cumsum(sides - 2) - (sides - 2), sides - 2)
@@ -79,7 +82,7 @@ def fans(sides: np.ndarray) -> np.ndarray:
 
 
 def weld(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` with vertices at exactly the same place made one; order of first appearance."""
+    """Returns ``mesh`` with vertices at exactly the same place made one; order of first appearance."""
     _, first, inverse = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
     if len(first) == len(mesh.vertices):
         return mesh
