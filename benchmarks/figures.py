@@ -12,6 +12,7 @@ from statistics import fmean
 
 from benchmarks.front import TRAINED
 from benchmarks.tables import Columns, Record, Row, markdown_table, rows_table
+from drape.stages.tiers import NAMES as TIER_NAMES
 
 Records = Mapping[str, Record]
 DEFAULT_TIER, GARMENT = "balanced", "tshirt"
@@ -161,7 +162,7 @@ def streams(records: Records) -> str:
     """
     record = records["serving"]
     lines = []
-    for tier in ("instant", "fast", "balanced", "accurate"):
+    for tier in TIER_NAMES:
         for row in _streams(record, tier):
             if row["clients"] in (1, 8, record["max_clients"][f"service {tier}"]):
                 lines.append([f"`{tier}`, {row['clients']}", *_load(row)])

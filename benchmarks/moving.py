@@ -44,10 +44,11 @@ from drape.body.assets import load_body
 from drape.cloth.metrics import third_difference_square
 from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
+from drape.stages.tiers import NAMES
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
-TIERS = ("fast", "balanced", "accurate")
+TIERS = NAMES[1:]  # the least has no folds to look at
 BEFORE = (0, 3, 6, 9)  # frames before that of the still whose means count
 EVERY = 5  # frames between two in which crossings and depth are counted
 DEEP_MM = 10.0  # in the skin: no lift hides such a vertex

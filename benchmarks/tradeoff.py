@@ -197,10 +197,10 @@ def tiers_of(mean: Sequence[Row]) -> list[Row]:
     one, ``fast``, the cheapest with folds. The last folds all vertices, without more than ``DETAIL_MOST``: gain does
     not see fine folds and crossings. It is the one of these that gains most. The one between it and ``fast`` is the
     cheapest that has at least half of what the last gains over ``fast``, and ``SMOOTHER`` of its way to less curvature,
-    which the eye sees first; of those as cheap but for ``AS_CHEAP`` the one with the least curvature. A tier's folds,
-    and its passes under folds, are never less than those of the one below, and none is coarse above a fine one. Times
-    are compared with each other alone, so that the rule gives the same tiers on processors on which the rival is faster
-    or slower than here.
+    which the eye sees first. Of those at most ``AS_CHEAP`` times as dear as the cheapest it is the one with the least
+    curvature. A tier's folds, and its passes under folds, are never less than those of the one below, and none is
+    coarse above a fine one. Times are compared with each other alone, so that the rule gives the same tiers on
+    processors on which the rival is faster or slower than here.
     """
     by_order = sorted(mean, key=lambda row: row["time_ratio"])
     lifted = [row for row in by_order if row.get("folds") == 0]

@@ -78,9 +78,9 @@ class Runtime:
         """Returns the plans that a stream of ``plan`` is held to while it steps down, the one that computes least
         first.
 
-        From the third on, each computes no more than one of the tiers with folds, and no more than ``plan``. The second
-        is the least of these without what it can spare (``tiers.spared``), if the scene is a single garment, since
-        layers need each other. The first is the second without steps of folds.
+        The third and later ones are the tiers with folds, the least first, each cut down to what ``plan`` computes. The
+        second is the least of these without what it can spare (``tiers.spared``), if the scene is a single garment,
+        since layers need each other. The first is the second without steps of folds.
         """
         stages = self.on(plan.scene).stages
         held = [capped(plan.options, tier) for tier in self.tiers if tier.folds]

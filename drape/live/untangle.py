@@ -23,9 +23,9 @@ class Tangles(NamedTuple):
 
     ``corner`` (3 C ``LANES``,) are the places of the corners, three rows for each cluster. ``across`` has as many rows:
     the place across each edge, the first edge being that from the first to the second corner; ``BORDER`` where there is
-    no triangle across. Every edge counts for one of its two triangles, and has ``OTHERS`` in the other one. Clusters
-    that are not full repeat a triangle. ``beside[start[a] : start[a + 1]]`` are cluster a and the clusters behind it
-    that share a corner with it.
+    no triangle across. An edge that two triangles share is looked at in one of them, and is ``OTHERS`` in the other.
+    Clusters that are not full repeat a triangle. ``beside[start[a] : start[a + 1]]`` are cluster a and the clusters
+    behind it that share a corner with it.
     """
 
     corner: np.ndarray

@@ -31,8 +31,9 @@ class TierSettings(Protocol):
 
 @dataclass(frozen=True)
 class Tier:
-    """``passes`` of the network under ``folds`` steps; ``alone`` where there are no folds (jets). None: all passes.
+    """How much a frame computes: ``passes`` of the network's corrections and then ``folds`` steps of folds.
 
+    Without folds (jets) there are ``alone`` passes. None stands for all passes.
     ``coarse``: a coarse cloth takes the steps (``drape.live.two_level``); without steps cloth is lifted off the skin.
     ``figures`` are what ``benchmarks.tradeoff`` measured of it, and where.
     """

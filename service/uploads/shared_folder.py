@@ -68,7 +68,7 @@ class SharedFolder:
         return asked()
 
     async def look(self) -> None:
-        """Takes over what changed. A look that begins after this call satisfies it, whoever asked for that."""
+        """Takes over what changed. A call waits for the look of another where that began after the call."""
         asked_s = time.monotonic()
         async with self._turn:
             if self._begun_s >= asked_s:
