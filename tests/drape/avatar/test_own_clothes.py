@@ -13,6 +13,7 @@ from drape.avatar.attire import Attire
 from drape.avatar.character import character_in
 from drape.avatar.own_clothes import (
     END_M,
+    INSET_M,
     Halves,
     _without_skin,
     bare_colours,
@@ -152,6 +153,9 @@ def test_a_top_that_stays_is_tucked_into_trousers(
         trunk = (np.abs(skin[:, 0]) < 0.1) & (np.abs(skin[:, 1] - waist_m) < BELOW_M - 0.03)
         assert not trunk.any()
     assert not tucked(wearer.attire, Halves(True, True)).any()
+    stays = wearer.faces[tops & ~left.off]  # such a top may be painted on the skin, which then shows through it
+    middle = wearer.body.v_template[wearer.body.faces[left.bare]].mean(axis=1)
+    assert closest_point(middle, wearer.vertices, stays).distance.min() > INSET_M
 
 
 def test_a_tucked_top_is_drawn_in_its_own_colours(cut_away: Wearer, body: BodyModel, shelf: dict[str, Garment]):
