@@ -101,7 +101,8 @@ def fit_springs(distilled: Distilled, clips: Sequence[DrapedClip], wearer: Weare
             costs[part] += cloth.cost(_swung(at[LOOKED_AT, None], head, shortest_turns(head, stiff, swung)))
         on_rig += cloth.cost_on_rig()
     best, sprung = costs.argmin(axis=0), costs.min(axis=0) < BETTER**2 * on_rig
-    numbers = Springs(*(one[best[sprung], 0] for one in (stiffness, gravity, drag)), radius[sprung])
+    best = best[sprung]
+    numbers = Springs(stiffness[best, 0], gravity[best, 0], drag[best, 0], radius[sprung])
     return JointSprings(_only(distilled, sprung), ends[sprung], numbers, limbs, felt[sprung])
 
 
