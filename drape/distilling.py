@@ -98,10 +98,10 @@ class Joints:
         """
         errors = []
         for layer, springs, draped in zip(self.layers, self.springs, self._over(motion, fps), strict=True):
-            made, scale = layer.distilled, self.wearer.scale
-            ways = {"tracks": made.fitted(draped, scale), "springs": springs.moves(draped.motion)}
-            ways["carried"] = made.carried(draped.motion)
-            errors.append({name: 1e3 * made.error_m(draped, moves, scale) for name, moves in ways.items()})
+            made, scale, on_rig = layer.distilled, self.wearer.scale, draped.motion
+            ways = {"tracks": (made, made.fitted(draped, scale)), "springs": (springs.distilled, springs.moves(on_rig))}
+            ways["carried"] = made, made.carried(on_rig)
+            errors.append({name: 1e3 * one.error_m(draped, moves, scale) for name, (one, moves) in ways.items()})
         return errors
 
     def _over(self, motion: Motion, fps: float) -> list[DrapedClip]:

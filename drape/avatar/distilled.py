@@ -51,7 +51,7 @@ class Distilled:
     ``rest`` (V, 3) and ``weights`` (V, n + E) of its mesh in the bind pose, on the rig's ``joints`` (n,), nodes of the
     skeleton with the inverse bind matrices ``binds`` (n, 3, 4), and on its own. These are at ``pivots`` (E, 3) in the
     bind pose and hang below the ``parents`` (E,), places among ``joints``. ``still`` (E, 3, 4): where each is in its
-    parent's bind frame while nothing moves it.
+    parent's bind frame while nothing moves it. ``on_rig`` (V, n): the weights of a mesh without joints of its own.
     """
 
     rest: np.ndarray
@@ -61,6 +61,7 @@ class Distilled:
     parents: np.ndarray
     pivots: np.ndarray
     still: np.ndarray
+    on_rig: np.ndarray
 
     @property
     def count(self) -> int:
@@ -156,7 +157,7 @@ def _on_rig(garment: Garment, motion: RigMotion, wearer: Wearer, rig: FileRig) -
     blend = np.tensordot(dense, compose(motion.world[0, joints, :3, :], binds), axes=1)
     rest = np.linalg.solve(blend[:, :, :3], (at - blend[:, :, 3])[..., None])[..., 0]
     none = np.zeros((0, 3, 4))
-    return Distilled(rest, dense, joints, binds, np.zeros(0, dtype=np.int64), none[..., 3], none)
+    return Distilled(rest, dense, joints, binds, np.zeros(0, dtype=np.int64), none[..., 3], none, dense)
 
 
 def _chosen_frames(

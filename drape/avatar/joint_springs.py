@@ -1,33 +1,37 @@
 """Joints of a garment as spring bones of VRM, for motion that nobody draped: their numbers, fitted to frames.
 
 Each joint turns about its pivot; its tail is where the middle of its cloth is, or beyond. The numbers of a spring are
-those of many with which its tail, by the law of ``drape.motion.spring_bones``, comes nearest to where tracks put it.
-A joint that does no better than if it only followed the rig is none, unless its cloth stands off the legs, which are
-capsules.
+those of many with which the cloth that it moves, by the law of ``drape.motion.spring_bones``, comes nearest to where it
+is draped and sinks least into the legs, which are capsules. A joint is a spring only where that is better than what the
+rig alone makes of its cloth, which follows the legs; else the rig has its weights.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from drape.avatar.affine_maps import affine_inverse, compose
 from drape.avatar.distilled import Distilled, DrapedClip, pelvis_places
 from drape.avatar.rig_motion import RigMotion
+from drape.avatar.rig_weights import HEAVIEST
+from drape.avatar.skin_decomposition import blended, farthest_points
 from drape.avatar.wearer import Wearer
 from drape.body.skeleton import JOINT_NAMES
 from drape.motion.spring_bones import Capsules, Springs, nearest_off, shortest_turns, tails
 
-STIFFNESS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 4.0)
-GRAVITY = (0.0, 0.1, 0.2, 0.4, 0.8)
-DRAG = (0.1, 0.4, 0.7, 1.0)
-BETTER = 0.97  # of a joint's error without a spring
+STIFFNESS = (0.05, 0.2, 0.8, 4.0)
+GRAVITY = (0.0, 0.2, 0.8)
+DRAG = (0.1, 0.4, 1.0)
+BETTER = 0.97  # of the error of a joint's cloth on the rig
 SHORTEST_M = 0.05  # of a spring
 WIDEST_M = 0.03  # of a tail's own radius
-STANDS_OFF_M = 0.01  # from the limbs: such cloth is sprung in any case, so that limbs push it
+POINTS = 6  # of the cloth of a joint, that may not sink into limbs
+SINKING = 100.0  # what the square of a depth in them costs, of the square of the way that such a point is off
+LOOKED_AT = slice(None, None, 5)  # frames in which cloth may sink
 LIMBS = tuple(
     (f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"))
 )
@@ -45,8 +49,8 @@ class Limb:
 
 @dataclass(frozen=True, eq=False)
 class JointSprings:
-    """Joints of a ``distilled`` garment as springs: the ``numbers`` (E,) of each spring, the ``tails`` (E, 3) in the
-    bind pose, and which joints are ``sprung`` (E,).
+    """A ``distilled`` garment whose joints are springs: the ``numbers`` (E,) of each, and the ``tails`` (E, 3) in the
+    bind pose.
 
     ``limbs`` are the capsules, and ``felt`` (E, C) says which of them each spring feels. ``unit``: metres per unit of
     the file.
@@ -54,7 +58,6 @@ class JointSprings:
 
     distilled: Distilled
     tails: np.ndarray
-    sprung: np.ndarray
     numbers: Springs
     limbs: tuple[Limb, ...]
     felt: np.ndarray
@@ -63,47 +66,117 @@ class JointSprings:
         """The motions (F, E, 3, 4) of the joints as players move them, seen from the pelvis."""
         at, heads, rest = _carried(self.distilled, self.tails, motion)
         found = tails(self.numbers, heads, rest, motion.fps, _capsules(self.limbs, self.felt, motion))
-        turn = shortest_turns(heads, rest, np.where(self.sprung[:, None], found, rest))
-        swung = compose(np.concatenate([turn, heads[..., None] - turn @ heads[..., None]], axis=-1), at)
+        swung = _swung(at, heads, shortest_turns(heads, rest, found))
         return compose(affine_inverse(pelvis_places(motion))[:, None], swung)
 
 
+def _swung(at: np.ndarray, heads: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """Motions (..., E, 3, 4) of joints that are ``at`` (..., E, 3, 4), turned by ``turns`` about their ``heads``."""
+    return compose(np.concatenate([turns, heads[..., None] - turns @ heads[..., None]], axis=-1), at)
+
+
 def fit_springs(distilled: Distilled, clips: Sequence[DrapedClip], wearer: Wearer) -> JointSprings:
-    """Returns the springs of ``distilled`` whose tails come nearest to those of ``clips``. A clip is run from its first
-    to its last frame."""
+    """Returns the springs of ``distilled`` whose cloth comes nearest to ``clips`` and sinks least into the legs. A clip
+    is run from its first to its last frame."""
     unit, skeleton = wearer.scale, clips[0].motion
     ends, limbs = _tails(distilled, unit), leg_capsules(wearer, skeleton)
     _, _, rest = _carried(distilled, ends, skeleton, rows=slice(0, 1))
     hips = min(_limb_line(limb, skeleton.world[0, limb.node])[0][1] for limb in limbs[::2])
     felt = np.repeat(rest[0, :, 1:2] < hips, len(limbs), axis=1)
-    aims = [_aims(distilled, ends, clip, unit) for clip in clips]
-    room = _room(aims, limbs, clips)
+    tracks = [compose(pelvis_places(one.motion)[:, None], distilled.fitted(one, unit)) for one in clips]
+    room = _room([_moved(one, ends) for one in tracks], limbs, clips)
     felt &= room[:, None] > 0.0  # cloth that lies on a limb goes with it
     radius = np.where(felt.any(axis=1), np.clip(room, 0.0, WIDEST_M / unit), 0.0)
     stiffness, gravity, drag = np.array(list(itertools.product(STIFFNESS, GRAVITY, DRAG))).T[..., None]
-    costs, stiff = np.zeros((len(drag), distilled.count)), np.zeros(distilled.count)
-    for clip, aim in zip(clips, aims, strict=True):
-        _, heads, still = _carried(distilled, ends, clip.motion)
+    costs, on_rig = np.zeros((len(drag), distilled.count)), np.zeros(distilled.count)
+    for clip, track in zip(clips, tracks, strict=True):
+        at, heads, still = _carried(distilled, ends, clip.motion)
         capsules = _capsules(limbs, felt, clip.motion)
+        cloth = _Cloth.of(distilled, clip, track, capsules, unit)
         for start in range(0, len(drag), 60):
             part = slice(start, start + 60)
             numbers = Springs(stiffness[part], gravity[part], drag[part], radius)
             found = tails(numbers, heads, still, clip.motion.fps, capsules)
-            costs[part] += ((found - aim[:, None]) ** 2).sum(axis=(0, 3))
-        stiff += ((still - aim) ** 2).sum(axis=(0, 2))
-    best = costs.argmin(axis=0)
-    sprung = (costs.min(axis=0) < BETTER**2 * stiff) | (radius * unit > STANDS_OFF_M)
-    numbers = Springs(stiffness[best, 0], gravity[best, 0], drag[best, 0], radius)
-    return JointSprings(distilled, ends, sprung, numbers, limbs, felt)
+            head, stiff, swung = (one[LOOKED_AT] for one in (heads[:, None], still[:, None], found))
+            costs[part] += cloth.cost(_swung(at[LOOKED_AT, None], head, shortest_turns(head, stiff, swung)))
+        on_rig += cloth.cost_on_rig()
+    best, sprung = costs.argmin(axis=0), costs.min(axis=0) < BETTER**2 * on_rig
+    best = best[sprung]
+    numbers = Springs(stiffness[best, 0], gravity[best, 0], drag[best, 0], radius[sprung])
+    return JointSprings(_only(distilled, sprung), ends[sprung], numbers, limbs, felt[sprung])
+
+
+def _only(distilled: Distilled, kept: np.ndarray) -> Distilled:
+    """``distilled`` with those of its joints that are ``kept`` (E,); the rig moves the cloth of the others."""
+    own = distilled.weights[:, len(distilled.joints) :]
+    left = own[:, ~kept].sum(axis=1, keepdims=True)
+    weights = np.pad(distilled.weights[:, : len(distilled.joints)] + left * distilled.on_rig, ((0, 0), (0, kept.sum())))
+    weights[:, len(distilled.joints) :] = own[:, kept]
+    most = np.sort(weights, axis=1)[:, -min(HEAVIEST, weights.shape[1]), None]
+    weights = np.where(weights >= most, weights, 0.0)
+    return replace(
+        distilled, weights=weights / weights.sum(axis=1, keepdims=True), parents=distilled.parents[kept],
+        pivots=distilled.pivots[kept], still=distilled.still[kept],
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Cloth:
+    """Vertices ``rest`` (E, K, 3) of the cloth of each joint over a clip: where they are ``draped`` (F, E, K, 3), the
+    ``shares`` (E, K) of the joint in them, what all ``others`` add to that (F, E, K, 3), and where they were if the rig
+    alone moved them, ``on_rig`` (F, E, K, 3). ``legs``: what they should not sink into."""
+
+    rest: np.ndarray
+    draped: np.ndarray
+    shares: np.ndarray
+    others: np.ndarray
+    on_rig: np.ndarray
+    legs: Capsules
+
+    @classmethod
+    def of(cls, distilled: Distilled, clip: DrapedClip, track: np.ndarray, legs: Capsules, unit: float) -> _Cloth:
+        own = distilled.weights[:, len(distilled.joints) :].T
+        rows = np.stack([_some(distilled.rest, share) for share in own])
+        rest, shares = distilled.rest[rows], np.take_along_axis(own, rows, axis=1)
+        draped = clip.vertices[LOOKED_AT][:, rows] / unit
+        rig = compose(clip.motion.world[1:, distilled.joints, :3, :][LOOKED_AT], distilled.binds)
+        on_rig = blended(distilled.on_rig[rows.reshape(-1)], rest.reshape(-1, 3), rig).reshape(draped.shape)
+        others = draped - shares[..., None] * _placed(track[LOOKED_AT], rest)
+        few = replace(legs, starts=legs.starts[LOOKED_AT], ends=legs.ends[LOOKED_AT])
+        return cls(rest, draped, shares, others, on_rig, few)
+
+    def cost(self, moves: np.ndarray) -> np.ndarray:
+        """What it costs (N, E) that the joints are at ``moves`` (F, N, E, 3, 4)."""
+        return self._off(_placed(moves, self.rest))
+
+    def cost_on_rig(self) -> np.ndarray:
+        """What it costs (E,) that the rig moves the cloth of a joint."""
+        return self._off(self.on_rig[:, None])[0]
+
+    def _off(self, own: np.ndarray) -> np.ndarray:
+        at, draped = self.others[:, None] + self.shares[..., None] * own, self.draped[:, None]
+        deep = sunk(at, draped, self.legs)
+        return (((at - draped) ** 2).sum(axis=-1) + SINKING * deep**2).mean(axis=-1).sum(axis=0)
+
+
+def sunk(at: np.ndarray, draped: np.ndarray, limbs: Capsules) -> np.ndarray:
+    """How much deeper (F, ..., E, K) in one of ``limbs`` points are ``at`` (F, ..., E, K, 3) than where they are
+    ``draped``."""
+    most = np.zeros(at.shape[:-1])
+    for one, radius in enumerate(limbs.radii):
+        start, end = (ends[:, one].reshape(-1, *(1,) * (at.ndim - 2), 3) for ends in (limbs.starts, limbs.ends))
+        allowed = np.minimum(nearest_off(draped, start, end)[1], radius)
+        most = np.maximum(most, allowed - nearest_off(at, start, end)[1])
+    return most
 
 
 def leg_capsules(wearer: Wearer, motion: RigMotion) -> tuple[Limb, ...]:
-    """Thighs and shanks of ``wearer``, as wide as half of its skin there."""
+    """Thighs and shanks of ``wearer``, as wide as half of the skin of its bare body there."""
     joints, capsules = wearer.body.joints_template, []
-    strongest = wearer.weights.argmax(axis=1)
+    strongest = wearer.body.weights.argmax(axis=1)
     for top, end in LIMBS:
         a, b = (joints[JOINT_NAMES.index(one)] for one in (top, end))
-        skin = wearer.vertices[strongest == JOINT_NAMES.index(top)].astype(np.float64)
+        skin = wearer.body.v_template[strongest == JOINT_NAMES.index(top)]
         radius = float(np.median(nearest_off(skin, a, b)[1])) if len(skin) else 0.05
         node = wearer.rig.sources[top]
         local = np.linalg.inv(motion.world[0, node])
@@ -136,10 +209,15 @@ def _moved(at: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.einsum("feab,eb->fea", at[..., :3], points) + at[..., 3]
 
 
-def _aims(distilled: Distilled, ends: np.ndarray, draped: DrapedClip, unit: float) -> np.ndarray:
-    """Where the tails (F, E, 3) are in the world by the tracks of what was ``draped``."""
-    seen = distilled.fitted(draped, unit)
-    return _moved(compose(pelvis_places(draped.motion)[:, None], seen), ends)
+def _placed(at: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """``points`` (E, K, 3), each by the motion of its joint, ``at`` (..., E, 3, 4)."""
+    return np.einsum("...eab,ekb->...eka", at[..., :3], points) + at[..., None, :, 3]
+
+
+def _some(rest: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Vertices (``POINTS``,) of ``rest`` (V, 3), far from each other, in which a joint has much ``share`` (V,)."""
+    rows = np.flatnonzero(share >= 0.5 * share.max())
+    return np.resize(rows[farthest_points(rest[rows], min(POINTS, len(rows)))], POINTS)
 
 
 def _room(aims: Sequence[np.ndarray], limbs: Sequence[Limb], clips: Sequence[DrapedClip]) -> np.ndarray:

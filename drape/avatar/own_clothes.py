@@ -142,20 +142,18 @@ def tucked(attire: Attire, halves: Halves) -> np.ndarray:
     return attire.of_kinds(("top",)) & (halves.lower and not halves.upper)
 
 
-def bare_faces(
-    body: BodyModel, vertices: np.ndarray, faces: np.ndarray, off: np.ndarray, loose: np.ndarray | None = None
-) -> np.ndarray:
+def bare_faces(body: BodyModel, vertices: np.ndarray, faces: np.ndarray, off: np.ndarray) -> np.ndarray:
     """Returns which faces (Fb,) bool of a character's bare ``body`` are seen where the faces ``off`` (F,) of its
     surface are gone.
 
     ``vertices`` [m] (V, 3) and ``faces`` (F, 3) are that surface. A face of the body is seen if it lay below faces that
-    are gone, and no other face of the surface lies there, those of ``loose`` (F,) not counted.
+    are gone, and no other face of the surface lies there.
     """
     middle = body.v_template[body.faces].mean(axis=1)
     if not off.any():
         return np.zeros(len(middle), dtype=bool)
     gone = closest_point(middle, vertices, faces[off]).distance
-    left = faces[~off if loose is None else ~(off | loose)]
+    left = faces[~off]
     stays = closest_point(middle, vertices, left).distance if len(left) else np.full(len(middle), np.inf)
     return (gone < GONE_M) & (stays > np.minimum(BARE_M, gone))
 

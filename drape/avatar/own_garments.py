@@ -176,7 +176,7 @@ def undressed(
     top = tucked_top(wearer, tops, cloth) if tops.any() else None
     if top is not None:
         off |= top.off & tops
-    bare = bare_faces(wearer.body, *surface, off, tops)
+    bare = bare_faces(wearer.body, *surface, off)
     bare &= ~doubled_ends(wearer.body, wearer.weights, wearer.faces[~off])
     return Undressed(off, bare) if top is None else Undressed(off | top.off, bare & ~top.hidden, top)
 

@@ -56,9 +56,10 @@ def tucked_top(wearer: Wearer, tops: np.ndarray, cloth: Sequence[tuple[np.ndarra
     weights = share * wearer.weights[used] + (1.0 - share) * skin
     at = share * at + (1.0 - share) * (nearest.point + OFF_SKIN_M * out)
     moved = height[faces].min(axis=1) < BAND_M
+    upper = float(height[faces[moved]].max()) + MARGIN_M  # coarse faces reach far above the band
     off, bare = wearer.attire.of_kinds(SKIN), np.ones(len(body.faces), dtype=bool)
     for there, vertices, own in ((off, wearer.vertices, wearer.faces), (bare, body.v_template, body.faces)):
-        there &= _above(vertices, waist)[own].min(axis=1) < BAND_M + MARGIN_M
+        there &= _above(vertices, waist)[own].min(axis=1) < upper
         there[there] = covered_faces(vertices, own[there], [(at, faces)], margin_m=0.0)
     off[np.flatnonzero(tops)[moved]] = True
     drawn = moved & (height[faces].max(axis=1) > -BELOW_M)

@@ -11,6 +11,7 @@ import json
 import math
 import struct
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -56,7 +57,7 @@ def worn_vrm(payload: bytes, layers: Sequence[tuple[Jointed, JointSprings]]) -> 
         cure = "Write a .glb, or give the character as VRM."
         raise InputError("vrm", expected="a character in a VRM file", got="a plain GLB", cure=cure)
     for layer, springs in layers:
-        own = add_jointed(file, layer, nodes)
+        own = add_jointed(file, replace(layer, distilled=springs.distilled), nodes)
         ends = []
         for number, node in enumerate(own):
             way = springs.tails[number] - springs.distilled.pivots[number]
@@ -65,7 +66,8 @@ def worn_vrm(payload: bytes, layers: Sequence[tuple[Jointed, JointSprings]]) -> 
             )
             file.json["nodes"][node]["children"] = [ends[-1]]
         add = _add_springs_0 if "VRM" in extensions else _add_springs_1
-        add(file, springs, nodes, own, ends, layer.surface.name)
+        if own:
+            add(file, springs, nodes, own, ends, layer.surface.name)
     _complete(file)
     return file
 
@@ -159,7 +161,7 @@ def _add_springs_1(
     for limb in springs.limbs:
         capsule = {"offset": limb.start.tolist(), "tail": limb.end.tolist(), "radius": limb.radius}
         colliders.append({"node": nodes[limb.node], "shape": {"capsule": capsule}})
-    for number in np.flatnonzero(springs.sprung).tolist():
+    for number in range(len(own)):
         one = _numbers(springs, number)
         joint = {"node": own[number], "stiffness": one["stiffness"], "gravityPower": one["gravity"]}
         joint |= {"gravityDir": [0.0, -1.0, 0.0], "dragForce": one["drag"], "hitRadius": one["radius"]}
@@ -176,7 +178,7 @@ def _add_springs_0(
     groups, listed = told.setdefault("colliderGroups", []), told.setdefault("boneGroups", [])
     first = len(groups)
     groups += [{"node": nodes[limb.node], "colliders": _spheres(limb)} for limb in springs.limbs]
-    for number in np.flatnonzero(springs.sprung).tolist():
+    for number in range(len(own)):
         spring = _numbers(springs, number)
         listed.append(
             {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from drape.avatar.attire import Attire
 from drape.avatar.character import character_in
 from drape.avatar.own_clothes import (
     END_M,
+    INSET_M,
     Halves,
     _without_skin,
     bare_colours,
@@ -152,6 +154,41 @@ def test_a_top_that_stays_is_tucked_into_trousers(
         trunk = (np.abs(skin[:, 0]) < 0.1) & (np.abs(skin[:, 1] - waist_m) < BELOW_M - 0.03)
         assert not trunk.any()
     assert not tucked(wearer.attire, Halves(True, True)).any()
+    stays = wearer.faces[tops & ~left.off]  # such a top may be painted on the skin, which then shows through it
+    middle = wearer.body.v_template[wearer.body.faces[left.bare]].mean(axis=1)
+    assert closest_point(middle, wearer.vertices, stays).distance.min() > INSET_M
+
+
+def test_no_skin_is_bare_where_a_coarse_top_is_tucked_in(cut_away: Wearer, shelf: dict[str, Garment]):
+    """Faces of a toy's top are as high as a hand is long: where one is drawn in, all of it is."""
+    waist_m = float(np.quantile(shelf["trousers"].vertices[:, 1], 0.995))
+    trunk, rings = cut_away.body.v_template, []
+    for height_m in (-0.1, 0.13, 0.36):
+        near = trunk[(np.abs(trunk[:, 1] - waist_m - height_m) < 0.03) & (np.abs(trunk[:, 0]) < 0.25)]
+        angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+        ways = np.stack([np.sin(angles), np.cos(angles)], axis=1)
+        rings.append(np.insert(ways * (near[:, [0, 2]] @ ways.T).max(axis=0)[:, None], 1, waist_m + height_m, axis=1))
+    tube = trimesh.Trimesh(np.concatenate(rings), [
+        corner for ring in range(2) for one in range(24) for a, b in [(24 * ring + one, 24 * ring + (one + 1) % 24)]
+        for corner in ((a, b, b + 24), (a, b + 24, a + 24))
+    ], process=False)  # fmt: skip
+    tops, attire = cut_away.attire.of_kinds(("top",)), cut_away.attire
+    count, number = len(tube.faces), int(attire.part[tops][0])
+    coarse = replace(
+        cut_away,
+        vertices=np.concatenate([cut_away.vertices, tube.vertices.astype(np.float32)]),
+        faces=np.concatenate([cut_away.faces[~tops], tube.faces + len(cut_away.vertices)]).astype(cut_away.faces.dtype),
+        weights=np.concatenate([cut_away.weights, cut_away.body.weights[nearest_vertices(tube.vertices, trunk)[1]]]),
+        attire=attire._replace(
+            part=np.append(attire.part[~tops], np.full(count, number)),
+            colours=np.concatenate([attire.colours[~tops], np.ones((count, 3))]),
+        ),
+    )
+    none = np.zeros(len(coarse.faces), dtype=bool)
+    left = undressed(coarse, none, [(shelf["trousers"].vertices, shelf["trousers"].faces)], Halves(False, True))
+    middle = trunk[coarse.body.faces[left.bare]].mean(axis=1)
+    there = (np.abs(middle[:, 1] - waist_m - 0.17) < 0.12) & (np.abs(middle[:, 0]) < 0.2)
+    assert left.tucked is not None and not there.any()
 
 
 def test_a_tucked_top_is_drawn_in_its_own_colours(cut_away: Wearer, body: BodyModel, shelf: dict[str, Garment]):

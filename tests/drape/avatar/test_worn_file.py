@@ -14,15 +14,16 @@ from drape.avatar.affine_maps import compose
 from drape.avatar.character import tree_of
 from drape.avatar.distilled import DrapedClip, distil, pelvis_places, to_world
 from drape.avatar.joint_file import Jointed
-from drape.avatar.joint_springs import JointSprings, fit_springs
+from drape.avatar.joint_springs import JointSprings, fit_springs, leg_capsules, sunk
 from drape.avatar.rig_motion import RigClip, rig_motion
+from drape.avatar.rig_weights import HEAVIEST
 from drape.avatar.wearer import Wearer, read_wearer
 from drape.avatar.worn_file import worn_glb, worn_vrm
 from drape.body.model import BodyModel
 from drape.errors import InputError
 from drape.files.gltf import GltfFile
 from drape.garment.cache import Garment
-from drape.motion.spring_bones import Springs
+from drape.motion.spring_bones import Capsules, Springs
 from tests.drape.avatar.test_joint_file import COLOUR, FRAMES, swaying
 from tests.fixtures.characters import character, with_json
 from tests.fixtures.glb_reader import Reader, khronos_complaints
@@ -67,7 +68,9 @@ def clip(worn: Wearer, tube: Garment) -> DrapedClip:
 def made(worn: Wearer, clip: DrapedClip, tube: Garment) -> tuple[Jointed, JointSprings]:
     assert worn.file is not None
     distilled = distil(tube, [clip], worn, worn.file, count=COUNT)
-    return Jointed(tube.surface, distilled, COLOUR), fit_springs(distilled, [clip], worn)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("drape.avatar.joint_springs.BETTER", np.inf)  # all joints are springs
+        return Jointed(tube.surface, distilled, COLOUR), fit_springs(distilled, [clip], worn)
 
 
 def test_what_the_file_had_stays(payload: bytes, made: tuple[Jointed, JointSprings], clip: DrapedClip, worn: Wearer):
@@ -134,9 +137,8 @@ def test_three_vrm_moves_the_springs_as_we_do(
 
 
 def loose(springs: JointSprings) -> JointSprings:
-    """All joints as springs of the grid's numbers, so soft that they swing."""
-    numbers = Springs(*(np.full(COUNT, one) for one in (0.4, 0.2, 0.1, 0.0)))
-    return replace(springs, numbers=numbers, sprung=np.ones(COUNT, dtype=bool))
+    """Springs of the grid's numbers, so soft that they swing."""
+    return replace(springs, numbers=Springs(*(np.full(COUNT, one) for one in (0.2, 0.2, 0.1, 0.0))))
 
 
 def stiff_tails(springs: JointSprings, clip: DrapedClip) -> np.ndarray:
@@ -151,11 +153,56 @@ def test_numbers_of_springs_are_found_again(made: tuple[Jointed, JointSprings], 
     swung = to_world(clip.motion, distilled.placed(clip.motion, springs.moves(clip.motion)), worn.scale)
     draped = DrapedClip(swung, clip.motion)
     fitted = fit_springs(distilled, [draped], worn)
-    errors = [
-        distilled.error_m(draped, moves, worn.scale)
-        for moves in (fitted.moves(clip.motion), distilled.carried(clip.motion))
-    ]
+    ways = (fitted.distilled, fitted.moves(clip.motion)), (distilled, distilled.carried(clip.motion))
+    errors = [one.error_m(draped, moves, worn.scale) for one, moves in ways]
     assert errors[0] < 0.4 * errors[1]
+
+
+def test_joints_that_would_move_cloth_worse_than_the_rig_are_no_springs(
+    made: tuple[Jointed, JointSprings], clip: DrapedClip, worn: Wearer
+):
+    """Of cloth that is draped as the rig's own weights have it."""
+    distilled, none = made[0].distilled, np.zeros((FRAMES, 0, 3, 4))
+    on_rig = replace(distilled, weights=distilled.on_rig, parents=distilled.parents[:0])
+    draped = DrapedClip(to_world(clip.motion, on_rig.placed(clip.motion, none), worn.scale), clip.motion)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("drape.avatar.joint_springs.BETTER", np.inf)
+        all_sprung = fit_springs(distilled, [draped], worn)
+    fitted = fit_springs(distilled, [draped], worn)
+    assert fitted.distilled.count < all_sprung.distilled.count == COUNT
+    errors = [one.distilled.error_m(draped, one.moves(clip.motion), worn.scale) for one in (fitted, all_sprung)]
+    assert errors[0] < errors[1]
+
+
+def test_a_file_of_no_springs_has_the_garment_on_the_rig(
+    payload: bytes, made: tuple[Jointed, JointSprings], clip: DrapedClip, worn: Wearer, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("drape.avatar.joint_springs.BETTER", 0.0)
+    fitted = fit_springs(made[0].distilled, [clip], worn)
+    weights = fitted.distilled.weights
+    assert fitted.distilled.count == 0 and (weights > 0.0).sum(axis=1).max() <= HEAVIEST
+    assert_allclose(weights.sum(axis=1), 1.0)
+    was, now = (Reader(one).json for one in (payload, worn_vrm(payload, [(made[0], fitted)]).to_bytes()))
+    assert now["extensions"].get("VRMC_springBone") == was["extensions"].get("VRMC_springBone")
+    assert len(now["nodes"]) == len(was["nodes"]) + 1 and len(now["meshes"]) == len(was["meshes"]) + 1
+
+
+def test_cloth_sinks_by_what_it_is_deeper_than_it_was_draped():
+    """In a limb as wide as 0.1 round the y axis: cloth outside of it may come as near as that."""
+    draped, at = (np.zeros((4, 1, 1, 1, 3)) for _ in range(2))
+    draped[..., 0], at[..., 0] = (
+        np.reshape(one, (4, 1, 1, 1)) for one in ([0.12, 0.12, 0.05, 0.05], [0.11, 0.08, 0.03, 0.2])
+    )
+    start, end = (np.full((4, 1, 3), [0.0, y, 0.0]) for y in (-1.0, 1.0))
+    legs = Capsules(start, end, np.array([0.1]), np.ones((1, 1), dtype=bool))
+    assert_allclose(sunk(at, draped, legs).reshape(-1), [0.0, 0.02, 0.02, 0.0], atol=1e-12)
+
+
+def test_what_a_character_wears_makes_its_legs_no_wider(clip: DrapedClip, worn: Wearer):
+    """A wide skirt moves with the legs too, and its skin would be a leg of half a metre."""
+    wide = replace(worn, vertices=worn.vertices * np.float32(3.0))
+    for one, other in zip(leg_capsules(worn, clip.motion), leg_capsules(wide, clip.motion), strict=True):
+        assert one.radius == other.radius
 
 
 def test_materials_are_told_to_vrm_0(payload: bytes, made: tuple[Jointed, JointSprings]):
