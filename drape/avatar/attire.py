@@ -43,8 +43,11 @@ class AttirePart(NamedTuple):
 
 
 class Attire(NamedTuple):
-    """What is what on a character: its ``parts``; ``part`` (F,), the number of the part that each face belongs to;
-    ``skin_colour``, sRGB, the mean colour of its skin; and the ``colours`` (F, 3) of its faces."""
+    """The parts of a character and the colours of its faces.
+
+    ``parts`` are its parts, and ``part`` (F,) is the number of the part that each face belongs to. ``colours`` (F, 3)
+    are the faces' colours in sRGB, and ``skin_colour`` (3,) is the mean of those of the skin.
+    """
 
     parts: tuple[AttirePart, ...]
     part: np.ndarray

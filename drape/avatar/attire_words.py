@@ -74,9 +74,10 @@ _CAPITALS = re.compile(r"(?<=[a-zа-яё])(?=[A-ZА-ЯЁ])|(?<=[A-Z])(?=[A-Z][a-
 
 
 def kind_of_names(names: Iterable[str | None]) -> str | None:
-    """The kind in ``WORDS`` that ``names`` of one thing tell, those that tell most first; None where none does.
+    """Returns the kind of ``WORDS`` that a thing has by its ``names``, or None where no name has a word of the table.
 
-    In a name the last word counts, as in ``hair_ribbon_bag``; those of ``GENERAL`` give way to any other.
+    The first name that has one decides, so the most telling name comes first. In a name the last word decides: a
+    ``hair_ribbon_bag`` is a bag. Words of ``GENERAL`` decide only where there is no other word.
     """
     general: str | None = None
     for name in names:

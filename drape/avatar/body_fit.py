@@ -50,7 +50,7 @@ class BodyFit:
 
 
 def fit_to(pose: TPose, body: BodyModel) -> BodyFit:
-    """``body`` on the character in ``pose``."""
+    """Returns the fit of ``body``, its shape and pose, to the character whose T-pose is ``pose``."""
     joints = target_joints(pose.joints, body.joints_template)
     vertices = _scaled(body, joints)
     target = _Target(pose, body)

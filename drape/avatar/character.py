@@ -41,12 +41,16 @@ class Primitive(NamedTuple):
 class Character:
     """Nodes and surface of a character.
 
-    ``names`` and ``parents`` (-1: none) of N nodes, parents before children; ``world`` (N, 4, 4) their rest transforms
-    in the file's space.
-    ``vertices`` (V, 3) at rest, ``faces`` (F, 3), ``weights`` (V, N), rows sum to one. ``humanoid``: VRM's bones and
-    their places among the N; empty where the file is no VRM. ``vrm``: "0", "1" or "". ``primitives`` have the file's
-    triangles one after the other; ``triangle`` (F,) says which of these each face is. ``hung`` (F,): faces of meshes
-    without a skin that hang on a bone, as swords and hats do; a node between moves with the bone above it.
+    There are N nodes, parents before children, with ``names`` and ``parents`` (-1: none). ``world`` (N, 4, 4) are their
+    rest transforms in the file's space.
+
+    The surface has ``vertices`` (V, 3) at rest, ``faces`` (F, 3) and ``weights`` (V, N), whose rows sum to one.
+    ``primitives`` have the file's triangles one after the other, and ``triangle`` (F,) says which of these each face
+    is. ``hung`` (F,) marks faces of meshes without a skin that hang on a bone, as swords and hats do; a node between
+    moves with the bone above it.
+
+    ``vrm`` is "0", "1" or "". ``humanoid`` has VRM's bones and their numbers among the nodes; it is empty where the
+    file is not a VRM.
     """
 
     names: tuple[str, ...]
@@ -74,7 +78,7 @@ class Character:
 
     @property
     def places(self) -> np.ndarray:
-        """Where the nodes are at rest (N, 3)."""
+        """The positions (N, 3) of the nodes at rest, in the unit and the space of the file."""
         return self.world[:, :3, 3]
 
 

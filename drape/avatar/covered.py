@@ -30,8 +30,11 @@ MARGIN_M = 0.03  # from all that is bare, and from hems and openings: cloth move
 
 
 class PrimitiveFaces(NamedTuple):
-    """Runs (n, 2) of triangles of a ``primitive`` in its order, where each begins, and how many they are: ``ranges`` of
-    those that are covered, ``hidden`` of those that are taken off."""
+    """The triangles of a ``primitive`` that garments cover, and those that are taken off.
+
+    ``ranges`` (n, 2) are runs of covered triangles, and ``hidden`` (n, 2) runs of triangles taken off. A run is the
+    number of its first triangle and how many there are.
+    """
 
     primitive: Primitive
     ranges: np.ndarray

@@ -100,7 +100,7 @@ class Distilled:
         return decomposition.blended(self.weights, self.rest, np.concatenate([self.above(motion), moves], axis=1))
 
     def error_m(self, draped: DrapedClip, moves: np.ndarray, scale: float) -> float:
-        """The root mean square of the distances [m] from what was ``draped`` to the mesh at ``moves``."""
+        """Returns the root mean square distance [m] of the mesh at ``moves`` from the vertices that were ``draped``."""
         off = self.placed(draped.motion, moves) - seen_from_pelvis(draped, scale)
         return float(scale * np.sqrt((off**2).sum(axis=-1).mean()))
 

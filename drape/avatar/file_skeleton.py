@@ -54,9 +54,11 @@ class FileSkeleton:
 
 @dataclass(frozen=True, eq=False)
 class FileRig:
-    """What a character's file is asked for once it is a wearer: its ``skeleton``, ``weights`` (V, J) of its welded
-    surface on the skeleton's joints, and the ``primitives`` whose triangles are ``triangle`` (F,), as in
-    ``Character``."""
+    """What is kept of a character's file to write others on its rig.
+
+    ``weights`` (V, J) are those of its welded surface on the joints of its ``skeleton``. ``primitives`` have the file's
+    triangles, and ``triangle`` (F,) says which of these each face is, as in ``Character``.
+    """
 
     skeleton: FileSkeleton
     weights: scipy.sparse.csr_matrix

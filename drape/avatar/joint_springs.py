@@ -49,11 +49,10 @@ class Limb:
 
 @dataclass(frozen=True, eq=False)
 class JointSprings:
-    """A ``distilled`` garment whose joints are springs: the ``numbers`` (E,) of each, and the ``tails`` (E, 3) in the
-    bind pose.
+    """The E joints of a ``distilled`` garment as springs: ``numbers`` of each, and ``tails`` (E, 3) in the bind pose.
 
-    ``limbs`` are the capsules, and ``felt`` (E, C) says which of them each spring feels. ``unit``: metres per unit of
-    the file.
+    ``limbs`` are C capsules, and ``felt`` (E, C) says which of them each spring feels. Lengths are in the unit of the
+    file.
     """
 
     distilled: Distilled

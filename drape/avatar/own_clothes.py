@@ -65,11 +65,11 @@ def halves_of(garments: Iterable[Garment], body: BodyModel) -> Halves:
 
 
 class Layers(NamedTuple):
-    """Which faces (F,) of a character are what: ``body``, its body with what is painted on it or lies flat on it;
-    ``lower``, clothes of the lower half that are no part of that.
+    """The layers of a character, each a mask (F,) of its faces.
 
-    ``hollow`` (F,): clothes with no skin below, which stand for the skin. ``attire``: the parts, with those that are
-    bulky marked.
+    ``body`` is its body, with clothes that are painted on it or lie flat on it. ``lower`` are the other clothes of the
+    lower half. ``hollow`` are clothes without skin below, which stand for the skin. ``attire`` has the parts, in which
+    bulky ones are marked.
     """
 
     body: np.ndarray

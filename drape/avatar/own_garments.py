@@ -136,17 +136,18 @@ def own_faces(wearer: Wearer, garments: Iterable[Garment]) -> np.ndarray:
 
 
 def halves_on(wearer: Wearer, garments: Sequence[Garment], standard: BodyModel) -> Halves:
-    """``halves_of`` garments of which some lie on the ``standard`` body, and others are the character's own."""
+    """Returns ``halves_of`` the ``garments``, of which some are made for the ``standard`` body and others are the
+    ``wearer``'s own."""
     own = [garment for garment in garments if OWN in garment.manifest]
     others = [garment for garment in garments if OWN not in garment.manifest]
     return joined_halves([halves_of(others, standard), halves_of(own, wearer.body)])
 
 
 class Undressed(NamedTuple):
-    """What is not drawn of a character in its garments, and what is seen in its place.
+    """The faces of a character in garments that are not drawn, and those of its bare body that are drawn instead.
 
-    ``off`` (F,) bool: its faces that are not drawn. ``bare`` (Fb,) bool: the faces of its bare body that are seen.
-    ``tucked``: a top of its own that is tucked in, or None.
+    ``off`` (F,) marks the former and ``bare`` (Fb,) the latter. ``tucked`` is a top of its own that is tucked in, or
+    None.
     """
 
     off: np.ndarray

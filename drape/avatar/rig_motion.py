@@ -30,9 +30,10 @@ class RigClip:
 class RigMotion:
     """A clip on a ``skeleton`` after the T-pose in which garments are at rest: F frames are rows 1 to F.
 
-    Local translations ``moves`` (F + 1, N, 3) and quaternions wxyz ``turns`` (F + 1, N, 4) of the nodes as float32 has
-    them, their ``world`` transforms (F + 1, N, 4, 4), the nodes (n,) that are ``animated``, the node that moves
-    (``top``), and that of the ``pelvis``. In the unit of the file.
+    ``moves`` (F + 1, N, 3) are the local translations of N nodes in the unit of the file, and ``turns`` (F + 1, N, 4)
+    their local rotations as quaternions wxyz, both rounded to float32. ``world`` (F + 1, N, 4, 4) are the transforms
+    that follow. ``animated`` (n,) are the nodes that turn, ``top`` is the one node that is also displaced, and
+    ``pelvis`` that of the pelvis.
     """
 
     skeleton: FileSkeleton

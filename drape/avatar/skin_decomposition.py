@@ -30,7 +30,7 @@ def blended(weights: np.ndarray, rest: np.ndarray, moves: np.ndarray) -> np.ndar
 
 
 def homogeneous(points: np.ndarray) -> np.ndarray:
-    """``points`` (N, 3) with a one (N, 4)."""
+    """Returns the homogeneous coordinates (N, 4) of ``points`` (N, 3): a one comes last."""
     return np.concatenate([points, np.ones((len(points), 1))], axis=1)
 
 
@@ -45,11 +45,12 @@ def fit_weights(
     pull: np.ndarray | None = None,
     stiffness: float = 0.0,
 ) -> np.ndarray:
-    """The weights (V, B), at most ``most`` a vertex, of bones at ``moves``, that bring ``rest`` nearest to ``frames``.
+    """Returns the weights (V, B) of bones at ``moves``, at most ``most`` a vertex, that bring ``rest`` nearest to
+    ``frames``.
 
-    ``candidates`` (V, C): the bones that a vertex may have, each once. Where these would bring it no nearer than the
-    bones of ``past`` weights (V, B), it keeps these bones. Weights are drawn to ``pull`` (V, B) by
-    ``stiffness`` [m^2 a frame], the square of the way that an error of one in a weight is taken for.
+    A vertex may have the bones ``candidates`` (V, C). Where these bring it no nearer than the bones of ``past`` weights
+    (V, B), it keeps the latter. ``stiffness`` [m^2 a frame] is what the square of a weight's difference from ``pull``
+    (V, B) costs, beside the squared distances.
     """
     count, bones = len(rest), moves.shape[1]
     squares = np.einsum("fbai,fcaj->bcij", moves, moves, optimize=True) / len(frames)

@@ -39,8 +39,10 @@ class TuckedTop(NamedTuple):
 
 
 def tucked_top(wearer: Wearer, tops: np.ndarray, cloth: Sequence[tuple[np.ndarray, np.ndarray]]) -> TuckedTop | None:
-    """The faces of ``tops`` (F,) of ``wearer`` as they are worn in ``cloth``, vertices [m] (V, 3) and faces (F, 3) of
-    each, for the lower half of the body; None where they end above it."""
+    """Returns the top of ``wearer``, its faces ``tops`` (F,), tucked into ``cloth``; None where it ends above that.
+
+    ``cloth`` are the vertices [m] (V, 3) and faces (F, 3) of each garment of the lower half.
+    """
     waist, body = _waistband(cloth), wearer.body
     used, faces = np.unique(wearer.faces[tops], return_inverse=True)
     at, faces = wearer.vertices[used].astype(np.float64), faces.reshape(-1, 3)

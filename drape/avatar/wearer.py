@@ -187,7 +187,8 @@ def bare_wearer(
     kinds: Mapping[str, str] | None = None,
     begun: Callable[[str], None] | None = None,
 ) -> BareWearer:
-    """``read_wearer`` up to the bare body, on which most garments lie."""
+    """Returns what ``read_wearer`` knows once the bare body is fitted, on which most garments lie; its arguments and
+    errors are the same."""
     begins = begun or (lambda stage: None)
     begins("read")
     body = load_body() if body is None else body
@@ -262,7 +263,8 @@ def _check_limbs(pose: TPose, rig: Rig, name: str) -> None:
 
 
 def rotations(quaternions: Sequence[object] | np.ndarray, nodes: int) -> np.ndarray:
-    """``quaternions`` as (F, N, 4); refuses other numbers of nodes, and other lengths than one."""
+    """Returns ``quaternions`` as an array (F, N, 4); refuses another number of ``nodes`` N, and quaternions whose
+    length is not one."""
     try:
         turns = np.asarray(quaternions, dtype=np.float64)
     except ValueError:  # frames of different lengths

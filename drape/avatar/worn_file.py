@@ -73,8 +73,8 @@ def worn_vrm(payload: bytes, layers: Sequence[tuple[Jointed, JointSprings]]) -> 
 
 
 def worn_on_rig(payload: bytes, layers: Sequence[Dressed], clip: RigClip, wearer: Wearer, rig: FileRig) -> GlbFile:
-    """The character's file ``payload``, which has ``rig``, with garments that have a morph target for each frame of
-    ``clip``."""
+    """Returns the character's file ``payload``, whose rig is ``rig``, with the garments ``layers`` and an animation of
+    ``clip``, in each frame of which a morph target of each garment is its drape."""
     file, nodes = _opened(payload)
     add_dressed(file, nodes, layers, clip, wearer, rig)
     _complete(file)

@@ -22,7 +22,7 @@ BEHIND = 16  # bytes behind each array: points are read with a number more
 
 
 class Memory(Protocol):
-    """What ``Pool`` needs of a card."""
+    """The memory of a card: the calls that a ``Pool`` makes."""
 
     def take(self, size: int) -> int:
         """Takes ``size`` bytes and returns their address."""
@@ -79,7 +79,7 @@ class Pool:
 
 
 class Flat:
-    """How a ``record`` and its arrays lie in one piece of memory of ``size`` bytes, the words first."""
+    """A ``record`` laid out in one piece of memory of ``size`` bytes: its words first, and then its arrays."""
 
     def __init__(self, record: Record | Recorded) -> None:
         self.record = record.record if isinstance(record, Recorded) else record
@@ -150,7 +150,7 @@ class CardRecord:
 
 
 class Frames:
-    """Frames of folds that one launch draws. ``give`` returns what they took."""
+    """The frames of folds that one launch computes. ``give`` returns their memory to the pool."""
 
     def __init__(self, pool: Pool) -> None:
         self._pool, self._words = pool, list[int]()
@@ -189,14 +189,14 @@ class Frames:
         self._shapes.append(vertices.shape)
 
     def place(self) -> int:
-        """Writes the tasks, and returns where they are."""
+        """Writes the tasks of the launch to the card, and returns their address there."""
         words = np.array(self._words, np.uint64)
         self.tasks = self._take(words.nbytes)
         self._pool.card.write(self.tasks, words)
         return self.tasks
 
     def draw(self, threads: int) -> None:
-        """Begins to draw all of them."""
+        """Begins the launch of all frames, each by so many ``threads``, and does not wait for its end."""
         self._pool.card.folds(self.tasks or self.place(), len(self), threads)
 
     def drawn(self) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -224,12 +224,12 @@ class Frames:
 
 
 def idle_bytes(memories: Sequence[Record], streams: int = 1) -> int:
-    """What so many idle streams cost of a pool that wear garments with these ``memories`` [bytes]."""
+    """Returns the bytes of a pool that so many idle ``streams`` take, each of garments with these ``memories``."""
     return streams * sum(piece_bytes(Flat(record).size) for record in memories)
 
 
 def piece_bytes(size: int) -> int:
-    """What a piece of ``size`` bytes takes of a pool."""
+    """Returns the bytes of a pool that a piece of ``size`` bytes takes."""
     return -(-max(size, 1) // ALIGNED) * ALIGNED
 
 

@@ -15,7 +15,8 @@ CURE = "Build it: python -m drape.engine.build." if CLONE else "Install the whee
 
 
 def processor_level(folder: Path = LIBRARIES) -> tuple[int, bool]:
-    """The level of x86-64 of this processor, 0 on others, and whether it has tiles for numbers of 16 bits."""
+    """Returns the level of x86-64 that this processor has (0 on another one), and whether it multiplies tiles of
+    bfloat16 (AMX)."""
     probe = folder / f"probe{SUFFIX}"
     if not probe.is_file():
         raise ArtifactError("engine", expected=f"the file {probe.name}", got="none", cure=CURE)

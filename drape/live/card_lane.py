@@ -36,10 +36,11 @@ Found = TypeVar("Found")
 
 @dataclass(frozen=True)
 class LaneReport:
-    """How a lane does.
+    """The state of a lane, for health and metrics.
 
-    ``card``: its name; ``fault``: why there is none. ``occupied``, ``busy``: the share of its memory that is taken, and
-    of its time since the start. ``queue_s``: the age of the oldest frame that waits. ``frames``, ``launches``: so far.
+    ``card`` is the card's name, and ``fault`` says why there is none. ``occupied`` is the share of its memory that is
+    taken, and ``busy`` the share of the time since the start in which it computed. ``queue_s`` is the age of the oldest
+    frame that waits. ``frames`` and ``launches`` count those so far.
     """
 
     card: str
@@ -68,9 +69,9 @@ class _Job:
 
 
 class Lane:
-    """A card that ``open_card`` opens, in a thread of its own, with a pool of ``share`` of its free memory.
+    """The thread that gives frames to a card, which ``open_card`` opens. Its pool takes ``share`` of the free memory.
 
-    Where there is none ``fault`` says why in a sentence, and frames are the processor's.
+    Where there is no card, ``fault`` says why in a sentence, and the processor computes the frames.
     """
 
     def __init__(self, open_card: Callable[[], Card], *, share: float = 0.8) -> None:
@@ -116,8 +117,8 @@ class Lane:
         return max(self._pool.free_bytes - self._most * card_frames.SCRATCH_BYTES, 0) // idle_bytes([memory])
 
     def each(self, function: Callable[[Value], Found], values: Iterable[Value]) -> Iterator[Found]:
-        """``function`` of each of ``values``, in order; at the same time where the card draws, so that it draws them
-        together."""
+        """Yields ``function(value)`` for each of ``values``, in order. Where a card computes they run at the same time,
+        so that their frames share a launch."""
         return self._threads.map(function, values) if self.works else map(function, values)
 
     def compute(self, name: str, dtype: Any, *given: Any) -> int:

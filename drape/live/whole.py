@@ -65,12 +65,12 @@ NO_LEVELS = PanelLevels(*[np.zeros(0, np.int32)] * 8)  # what processors have
 
 
 class StiffnessFactor(NamedTuple):
-    """The factor of K as N panels, and ``inverse`` (V,), which is 1 / D; rows in the order of the factor.
+    """The factor L D L^T of K: L as N panels, and ``inverse`` (V,), the diagonal of 1 / D. Rows are in its own order.
 
-    Panel p has the columns from ``column[p]`` to ``column[p + 1]`` (N + 1,). Its ``size`` (N,) members are its columns
-    and the rows below; they are in ``member`` from ``start[p]`` (N + 1,) on, followed by its first column up to a
-    multiple of ``LANES``. Its numbers are in ``value`` from ``entry[p]`` (N,) on, column after column. ``place`` (V,)
-    is where each row is in a sheet. ``levels`` are those of a card.
+    Panel p has the columns from ``column[p]`` to ``column[p + 1]`` (N + 1,). Its members are its columns and the rows
+    below them, ``size[p]`` of them (N,). They are in ``member`` from ``start[p]`` (N + 1,) on, padded with its first
+    column to a multiple of ``LANES``. Its numbers are in ``value`` from ``entry[p]`` (N,) on, column after column.
+    ``place`` (V,) is the place of each row in a sheet. ``levels`` is the order of a card, empty for a processor.
     """
 
     place: np.ndarray
