@@ -2,8 +2,8 @@
 
 Each joint turns about its pivot; its tail is where the middle of its cloth is, or beyond. The numbers of a spring are
 those of many with which the cloth that it moves, by the law of ``drape.motion.spring_bones``, comes nearest to where it
-is draped and sinks least into the legs, which are capsules. A joint is a spring only where that is better than what the
-rig alone makes of its cloth, which follows the legs; else the rig has its weights.
+is draped and sinks least into the legs, which are capsules. A joint is a spring only where that is better than what
+the rig alone makes of its cloth, which follows the legs, and in no clip much worse; else the rig has its weights.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from drape.motion.spring_bones import Capsules, Springs, nearest_off, shortest_t
 STIFFNESS = (0.05, 0.2, 0.8, 4.0)
 GRAVITY = (0.0, 0.2, 0.8)
 DRAG = (0.1, 0.4, 1.0)
-BETTER = 0.97  # of the error of a joint's cloth on the rig
+BETTER, WORST = 0.97, 1.4  # of the error of a joint's cloth on the rig, over all clips and in one
 SHORTEST_M = 0.05  # of a spring
 WIDEST_M = 0.03  # of a tail's own radius
 POINTS = 6  # of the cloth of a joint, that may not sink into limbs
@@ -87,8 +87,8 @@ def fit_springs(distilled: Distilled, clips: Sequence[DrapedClip], wearer: Weare
     felt &= room[:, None] > 0.0  # cloth that lies on a limb goes with it
     radius = np.where(felt.any(axis=1), np.clip(room, 0.0, WIDEST_M / unit), 0.0)
     stiffness, gravity, drag = np.array(list(itertools.product(STIFFNESS, GRAVITY, DRAG))).T[..., None]
-    costs, on_rig = np.zeros((len(drag), distilled.count)), np.zeros(distilled.count)
-    for clip, track in zip(clips, tracks, strict=True):
+    costs, on_rig = np.zeros((len(clips), len(drag), distilled.count)), np.zeros((len(clips), distilled.count))
+    for number, (clip, track) in enumerate(zip(clips, tracks, strict=True)):
         at, heads, still = _carried(distilled, ends, clip.motion)
         capsules = _capsules(limbs, felt, clip.motion)
         cloth = _Cloth.of(distilled, clip, track, capsules, unit)
@@ -97,9 +97,12 @@ def fit_springs(distilled: Distilled, clips: Sequence[DrapedClip], wearer: Weare
             numbers = Springs(stiffness[part], gravity[part], drag[part], radius)
             found = tails(numbers, heads, still, clip.motion.fps, capsules)
             head, stiff, swung = (one[LOOKED_AT] for one in (heads[:, None], still[:, None], found))
-            costs[part] += cloth.cost(_swung(at[LOOKED_AT, None], head, shortest_turns(head, stiff, swung)))
-        on_rig += cloth.cost_on_rig()
-    best, sprung = costs.argmin(axis=0), costs.min(axis=0) < BETTER**2 * on_rig
+            costs[number, part] = cloth.cost(_swung(at[LOOKED_AT, None], head, shortest_turns(head, stiff, swung)))
+        on_rig[number] = cloth.cost_on_rig()
+    best = costs.sum(axis=0).argmin(axis=0)
+    least = costs[:, best, np.arange(len(best))]
+    # Better in one clip and much worse in the next is luck, which motion that nobody saw does not have.
+    sprung = (least.sum(axis=0) < BETTER**2 * on_rig.sum(axis=0)) & (least < WORST**2 * on_rig).all(axis=0)
     best = best[sprung]
     numbers = Springs(stiffness[best, 0], gravity[best, 0], drag[best, 0], radius[sprung])
     return JointSprings(_only(distilled, sprung), ends[sprung], numbers, limbs, felt[sprung])

@@ -64,12 +64,17 @@ def clip(worn: Wearer, tube: Garment) -> DrapedClip:
     return DrapedClip(swaying(tube, worn, poses, trans, seed=0), motion)
 
 
+def make_all_springs(patch: pytest.MonkeyPatch) -> None:
+    for name in ("BETTER", "WORST"):
+        patch.setattr(f"drape.avatar.joint_springs.{name}", np.inf)
+
+
 @pytest.fixture(scope="module")
 def made(worn: Wearer, clip: DrapedClip, tube: Garment) -> tuple[Jointed, JointSprings]:
     assert worn.file is not None
     distilled = distil(tube, [clip], worn, worn.file, count=COUNT)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("drape.avatar.joint_springs.BETTER", np.inf)  # all joints are springs
+        make_all_springs(patch)
         return Jointed(tube.surface, distilled, COLOUR), fit_springs(distilled, [clip], worn)
 
 
@@ -166,12 +171,25 @@ def test_joints_that_would_move_cloth_worse_than_the_rig_are_no_springs(
     on_rig = replace(distilled, weights=distilled.on_rig, parents=distilled.parents[:0])
     draped = DrapedClip(to_world(clip.motion, on_rig.placed(clip.motion, none), worn.scale), clip.motion)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("drape.avatar.joint_springs.BETTER", np.inf)
+        make_all_springs(patch)
         all_sprung = fit_springs(distilled, [draped], worn)
     fitted = fit_springs(distilled, [draped], worn)
     assert fitted.distilled.count < all_sprung.distilled.count == COUNT
     errors = [one.distilled.error_m(draped, one.moves(clip.motion), worn.scale) for one in (fitted, all_sprung)]
     assert errors[0] < errors[1]
+
+
+def test_springs_that_one_clip_alone_wants_are_none(
+    made: tuple[Jointed, JointSprings], clip: DrapedClip, worn: Wearer, monkeypatch: pytest.MonkeyPatch
+):
+    """One clip has cloth as springs swing it, the other as the rig's own weights have it."""
+    distilled, none = made[0].distilled, np.zeros((FRAMES, 0, 3, 4))
+    on_rig = replace(distilled, weights=distilled.on_rig, parents=distilled.parents[:0])
+    places = distilled.placed(clip.motion, loose(made[1]).moves(clip.motion)), on_rig.placed(clip.motion, none)
+    clips = [DrapedClip(to_world(clip.motion, placed, worn.scale), clip.motion) for placed in places]
+    held = fit_springs(distilled, clips, worn).distilled.count
+    monkeypatch.setattr("drape.avatar.joint_springs.WORST", np.inf)
+    assert held < fit_springs(distilled, clips, worn).distilled.count
 
 
 def test_a_file_of_no_springs_has_the_garment_on_the_rig(
