@@ -196,10 +196,11 @@ class Lane:
         try:
             for job in jobs:
                 vertices, past, around, cloth, effort, left, _, _ = job.given
-                records = [self._past(past), *(CardRecord(self._pool, one) for one in (around, effort))]
-                pieces += records
+                pieces.append(self._past(past))  # one by one: the next may find no room
+                for one in (around, effort):
+                    pieces.append(CardRecord(self._pool, one))
                 after.append(CardRecord(self._pool, left, blank=True))
-                frames.add(job.name, vertices, *records[:2], self._cloth(cloth), records[2], after[-1])
+                frames.add(job.name, vertices, *pieces[-3:-1], self._cloth(cloth), pieces[-1], after[-1])
             frames.draw(THREADS)
             for job, (folded, told) in zip(jobs, frames.drawn(), strict=True):
                 job.drawn, left = (folded, told, after[0].arrays()), job.given[5].arrays

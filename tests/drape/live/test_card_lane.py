@@ -85,6 +85,24 @@ def test_frames_that_find_no_room_are_the_processors(monkeypatch, lane, tank, st
     assert lane.works and lane.report().frames == 0
 
 
+@each(after=(0, 1, 2, 3, 4))
+def test_a_launch_that_finds_no_room_on_its_way_gives_all_of_it_back(monkeypatch, lane, tank, still, after):  # noqa: F811
+    frames(tank, still, lane, 2)
+    lane._drop(0)
+    free_bytes, taken, take = lane._pool.free_bytes, [], card_frames.Pool.take
+
+    def runs_out(pool: card_frames.Pool, size: int) -> int:
+        taken.append(size)
+        if len(taken) > after:
+            raise MemoryError
+        return take(pool, size)
+
+    memory = tank.fold(None, still, EFFORT, lane.compute)[1]
+    monkeypatch.setattr(card_frames.Pool, "take", runs_out)
+    tank.fold(memory, replace(still, time_s=0.03), EFFORT, lane.compute)
+    assert len(taken) == after + 1 and lane.works and lane._pool.free_bytes == free_bytes
+
+
 def test_what_left_longest_ago_goes_first_and_is_brought_again(monkeypatch, lane, tank, still):  # noqa: F811
     monkeypatch.setattr(card_lane, "KEPT_SHARE", 0.0)
     found = frames(tank, still, lane, 3)
