@@ -41,7 +41,7 @@ SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALL := scripts/install $(BIN)/python
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 3 --dist loadfile --no-loadscope-reorder --durations=15
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15
 WEB := clients/web
 MEMBERS := service clients recovery training model_export
 PRODUCT := drape $(MEMBERS) benchmarks examples

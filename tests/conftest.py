@@ -35,7 +35,7 @@ from tests.fixtures.run_folder import RUN_FOLDER
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# Seconds of a processor, which do not depend on what else runs. Two processes share them, so that half of their sum
+# Seconds of a processor, which do not depend on what else runs. Two cores share them, so that half of their sum
 # stays well under the quarter of an hour that the whole suite may take; browsers' own are not among them.
 FOLDER_BUDGET_S = {
     "architecture": 40,
@@ -140,7 +140,7 @@ def pytest_itemcollected(item: pytest.Item) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Folders with the longest files first: of two processes neither is then left with a long one at the end. Files
+    """Folders with the longest files first: none of the processes is then left with a long one at the end. Files
     stay as they are named where time is short."""
     if config.getoption("stop_after") is None:
         places = {name: place for place, name in enumerate(LONGEST_FIRST)}
