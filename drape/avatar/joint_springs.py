@@ -92,12 +92,9 @@ def fit_springs(distilled: Distilled, clips: Sequence[DrapedClip], wearer: Weare
         at, heads, still = _carried(distilled, ends, clip.motion)
         capsules = _capsules(limbs, felt, clip.motion)
         cloth = _Cloth.of(distilled, clip, track, capsules, unit)
-        for start in range(0, len(drag), 60):
-            part = slice(start, start + 60)
-            numbers = Springs(stiffness[part], gravity[part], drag[part], radius)
-            found = tails(numbers, heads, still, clip.motion.fps, capsules)
-            head, stiff, swung = (one[LOOKED_AT] for one in (heads[:, None], still[:, None], found))
-            costs[number, part] = cloth.cost(_swung(at[LOOKED_AT, None], head, shortest_turns(head, stiff, swung)))
+        found = tails(Springs(stiffness, gravity, drag, radius), heads, still, clip.motion.fps, capsules)
+        head, stiff, swung = (one[LOOKED_AT] for one in (heads[:, None], still[:, None], found))
+        costs[number] = cloth.cost(_swung(at[LOOKED_AT, None], head, shortest_turns(head, stiff, swung)))
         on_rig[number] = cloth.cost_on_rig()
     best = costs.sum(axis=0).argmin(axis=0)
     least = costs[:, best, np.arange(len(best))]
@@ -208,7 +205,7 @@ def _carried(
 
 def _moved(at: np.ndarray, points: np.ndarray) -> np.ndarray:
     """``points`` (E, 3), each by its own motion of ``at`` (F, E, 3, 4)."""
-    return np.einsum("feab,eb->fea", at[..., :3], points) + at[..., 3]
+    return _placed(at, points[:, None])[..., 0, :]
 
 
 def _placed(at: np.ndarray, points: np.ndarray) -> np.ndarray:
