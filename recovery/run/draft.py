@@ -27,10 +27,8 @@ UNDER_ARM_M = 0.03  # that an armhole ends above its cut, lifted by the arm
 ARMS = (0.25, 0.5, 0.75)  # of the upper arm: where a sleeve's girth is taken, the first clear of the trunk
 MOST_SLEEVE = 1.8  # of the arm's girth: more is a sleeve and the trunk
 WAISTS_M = 0.01  # between heights at which a waist is looked for
-GATHERS_M, LEAST_GATHER = (
-    0.02,
-    0.12,
-)  # half the height in which a gathered seam widens the cloth, by this share at least
+GATHERS_M = 0.02  # half the height in which a gathered seam widens the cloth
+LEAST_GATHER = 0.12  # share by which it does so at least
 CLEAR_M = 0.08  # of a waist from underarm and hips, and of a hem from the knee
 SHAPED = 0.04  # share by which a girth between openings is off the straight line, so that the cut has a bend there
 Range = tuple[float, float]
