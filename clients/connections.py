@@ -60,7 +60,7 @@ def _no_proxy(error: Exception) -> InputError:
 def unreachable(url: object, error: Exception) -> Unavailable:
     """The refusal where no answer came."""
     reason = str(error) or type(error).__name__
-    cure = "Start it (make serve) or give its --url."
+    cure = "Start it (make serve), or give the address at which it runs."
     if getproxies() and not is_local(str(url)):
         cure += f" {' or '.join(PROXIES)} names a proxy: where that must not be asked, put the host into NO_PROXY."
     return Unavailable(f"service at {url}", expected="an answer", got=reason, cure=cure)

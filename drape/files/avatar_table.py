@@ -38,8 +38,11 @@ def avatar_table(folder: Path) -> dict[str, Any]:
 
 
 def entry_for(name: str, folders: list[Path]) -> tuple[str, Any, Path] | None:
-    """Key, entry and folder of the avatar of a file called ``name``: the longest fitting key of the first table
-    that has one."""
+    """Returns the key and the entry of the avatar on which the garment file ``name`` was modelled, and the folder of
+    its table; None where no table has one.
+
+    A key fits where the name begins with it. The first folder that has such a key decides, by its longest one.
+    """
     for folder in folders:
         table = avatar_table(folder)
         fitting = [key for key in table if name.startswith(key)]
