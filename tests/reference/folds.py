@@ -30,6 +30,7 @@ SLIP_M, CLAMP_M = 1e-3, 0.02
 FORGET, LACK, HEM, MEND_M = 24.0, 0.003, 24.0, 0.03
 SPACING, KEPT, KEPT_M = 0.95, 0.5, 0.0085
 OTHER, DEEP_M, TOO_DEEP_M = 0.25, 0.04, 0.06  # of the lift
+LONGEST, SHORTEST, LIMIT_PASSES = 1.3, 0.7, 4
 
 
 def fold(
@@ -80,7 +81,7 @@ def fold(
         if effort.steps == 0:
             here, touched = touch(x, network, frame.skin, dressed.graph, touched, past.turn if memory else -1)
             around = touching(made, dressed, x, frame.skin, here)
-        x = lifted(x, around, effort.clearance_m)
+        x = limited(lifted(x, around, effort.clearance_m), dressed.cloth)
     residual, velocity = _to_local(frames, x - network), _to_local(frames, way) / step_s
     grip = write_grip(x, stuck if memory else x, frame.skin, dressed.graph, touched.own)
     return x, FoldMemory(frame.time_s, network, residual, velocity, touched, grip, (past.turn + 1) % TURNS)
@@ -107,13 +108,17 @@ def kept(off: np.ndarray, before: np.ndarray, network: np.ndarray, cloth: ClothM
     return evened(mended(off, cloth.faces, forgotten(before, network, cloth)), before, network, cloth.faces)
 
 
-def longest_next(cloth: ClothMesh) -> np.ndarray:
-    """The next corner (V,) of a triangle of each vertex: of those the one that is farthest at rest."""
-    faces = cloth.faces
+def rest_lengths(cloth: ClothMesh) -> np.ndarray:
+    """The lengths at rest [m] (F, 3) of each triangle's edges, from each corner to the next."""
     a, b, c, d = cloth.inverse_shape
     shape = np.linalg.inv(np.stack([np.stack([a, c], axis=-1), np.stack([b, d], axis=-1)], axis=-2))  # columns: edges
     first, second = shape[..., 0], shape[..., 1]
-    length = np.linalg.norm(np.stack([first, second - first, -second], axis=1), axis=-1).reshape(-1)
+    return np.linalg.norm(np.stack([first, second - first, -second], axis=1), axis=-1)
+
+
+def longest_next(cloth: ClothMesh) -> np.ndarray:
+    """The next corner (V,) of a triangle of each vertex: of those the one that is farthest at rest."""
+    faces, length = cloth.faces, rest_lengths(cloth).reshape(-1)
     longest = np.zeros(cloth.vertex_count)
     np.maximum.at(longest, faces.reshape(-1), length)
     order = np.lexsort((length < ALIKE * longest[faces.reshape(-1)], faces.reshape(-1)))
@@ -267,6 +272,21 @@ def lifted(x: np.ndarray, around: Around, clearance_m: float) -> np.ndarray:
         low_m = np.maximum(clearance_m - ((x - point) * normal).sum(axis=1, keepdims=True), 0.0)
         left = np.clip((TOO_DEEP_M - low_m) / (TOO_DEEP_M - DEEP_M), 0.0, 1.0)
         x = x + share * left * low_m * normal
+    return x
+
+
+def limited(x: np.ndarray, cloth: ClothMesh) -> np.ndarray:
+    """``x`` [m] (V, 3) after passes in which vertices go half of what each triangle's edges are too long or short."""
+    first, then = cloth.faces.reshape(-1), np.roll(cloth.faces, -1, axis=1).reshape(-1)
+    rest = rest_lengths(cloth).reshape(-1)
+    for _ in range(LIMIT_PASSES):
+        edge, way, count = x[then] - x[first], np.zeros_like(x), np.zeros(len(x))
+        length = np.linalg.norm(edge, axis=1)
+        share = 0.5 - 0.5 * np.clip(length, SHORTEST * rest, LONGEST * rest) / length
+        for vertex, sign in ((first, 1.0), (then, -1.0)):
+            np.add.at(way, vertex, sign * share[:, None] * edge)
+            np.add.at(count, vertex, share != 0.0)
+        x = x + way / np.maximum(count, 1.0)[:, None]
     return x
 
 

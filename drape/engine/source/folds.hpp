@@ -13,6 +13,7 @@
 #include "carry.hpp"
 #include "colliders.hpp"
 #include "lift.hpp"
+#include "limit.hpp"
 #include "numbers.hpp"
 #include "pace.hpp"
 #include "places.hpp"
@@ -143,7 +144,10 @@ DEVICE void descend_rounds(const Laid<T>& laid, T* way, const T* network, const 
   if (schedule.rounds == 0 && (schedule.clearance > 0 || around.colliders.count))  // there are no planes yet
     touch(x, network, places, skin, sheet.vertex.begin, own, other, laid.at, schedule.turn, planes, scratch);
   leave_colliders(x, places, around.colliders, planes, schedule.clearance);
-  if (schedule.clearance > 0) lift(x, places, planes, schedule.clearance, laid.lifted);
+  if (schedule.clearance > 0) {
+    lift(x, places, planes, schedule.clearance, laid.lifted);
+    limit_strain(x, sheet, scratch);
+  }
   scratch.used = mark;
 }
 

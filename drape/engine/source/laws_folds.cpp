@@ -63,6 +63,10 @@
   EXPORT void drape_law_lift_##suffix(T* x, int64_t places, const T* planes, double clearance, T* way) {               \
     lift(x, places, planes, T(clearance), way);                                                                        \
   }                                                                                                                    \
+  EXPORT int64_t drape_law_limit_##suffix(T* x, const FoldConstants<T>* cloth, Scratch* scratch) {                     \
+    limit_strain(x, cloth->sheet, *scratch);                                                                           \
+    return -scratch->overflowed;                                                                                       \
+  }                                                                                                                    \
   EXPORT int64_t drape_law_rooms_##suffix(const T* points, const SheetNeighbours<T>* neighbours, double reach, T* room,\
                                           int32_t* nearest, Scratch* scratch) {                                        \
     rooms(points, *neighbours, T(reach), room, nearest, *scratch);                                                     \

@@ -106,7 +106,10 @@ DEVICE void settle_fine(const Laid<T>& laid, const Laid<T>& coarse, const T* net
   for (int64_t sweep = 0; sweep < schedule.sweeps; ++sweep) descend(x, fine.sheet, planes, network);
   if (found > 0) come_apart();
   leave_colliders(x, places, around.colliders, planes, schedule.clearance);
-  if (schedule.clearance > 0) lift(x, places, planes, schedule.clearance, laid.lifted);
+  if (schedule.clearance > 0) {
+    lift(x, places, planes, schedule.clearance, laid.lifted);
+    limit_strain(x, fine.sheet, scratch);
+  }
   copy<T>(after.fine, x, 3 * places);
   scratch.used = mark;
 }

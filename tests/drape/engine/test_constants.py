@@ -65,6 +65,7 @@ SAME = {
     ("residual", "tests.reference.folds"): "FORGET LACK HEM MEND_M",
     ("room", "tests.reference.folds"): "SPACING KEPT KEPT_M",
     ("lift", "tests.reference.folds"): "OTHER_SHARE=OTHER DEEP_M TOO_DEEP_M",
+    ("limit", "tests.reference.folds"): "LONGEST SHORTEST LIMIT_PASSES",
     ("pace", "tests.reference.pace"): "MOMENTUM FAST_MOMENTUM STIFF_MOMENTUM SETTLING_MOMENTUM LONG_ROUNDS SLOW_M "
     "FAST_M STIFF_N_PER_M SHAKEN SHAKEN_M_S",
     ("folds", "tests.reference.pace"): "FADE_S",
