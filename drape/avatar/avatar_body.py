@@ -4,6 +4,7 @@ its own weights, so that skin and character move alike."""
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 import scipy.sparse
@@ -22,42 +23,40 @@ TRUSTED_M = 0.04  # a vertex farther than this from the character keeps the stan
 SMOOTHING_PASSES = 3
 
 
-def avatar_body(
-    fit: BodyFit,
-    pose: TPose,
-    body: BodyModel,
-    *,
-    name: str,
-    covered: TPose | None = None,
-    over: BodyModel | None = None,
-) -> BodyModel:
+def avatar_body(fit: BodyFit, pose: TPose, body: BodyModel, *, name: str, covered: TPose | None = None) -> BodyModel:
     """Returns the body of the character in ``pose``, made of ``body`` as ``fit`` has laid it on the character. Its root
     joint is where that of ``body`` is.
 
-    ``covered``: the character's faces that the skin is brought out to, those of ``pose`` by default. ``over``: another
-    body of the same ``fit`` and ``pose`` that this one encloses. The body has no shapes of its own: its ``shapedirs``
-    are zero.
+    ``covered``: the character's faces that the skin is brought out to, those of ``pose`` by default. The body has no
+    shapes of its own: its ``shapedirs`` are zero.
     """
     joints = np.where(np.isfinite(pose.joints), pose.joints, fit.joints)
     place = body.joints_template[0] - joints[0]
-    vertices, joints = fit.vertices + place if over is None else over.v_template, joints + place
-    weights = _weights(fit, pose, body) if over is None else over.weights
-    covered = pose if covered is None else covered
-    vertices = covering(vertices, weights, joints, covered, covered.vertices + place, body)
+    weights, covered = _weights(fit, pose, body), pose if covered is None else covered
+    covered = replace(covered, vertices=covered.vertices + place)
+    return _brought_out(fit.vertices + place, weights, joints + place, covered, body, name)
+
+
+def enclosing_body(bare: BodyModel, covered: TPose, standard: BodyModel) -> BodyModel:
+    """Returns the body ``bare`` of a character, made of ``standard``, with its skin brought out to what is ``covered``
+    of the character, in the frame of ``bare``."""
+    return _brought_out(bare.v_template, bare.weights, bare.joints_template, covered, standard, bare.name)
+
+
+def _brought_out(
+    vertices: np.ndarray, weights: np.ndarray, joints: np.ndarray, covered: TPose, body: BodyModel, name: str
+) -> BodyModel:
+    """The body whose skin has ``vertices`` [m] (Vb, 3) and ``weights`` (Vb, 24) on ``joints`` [m] (24, 3), brought out
+    to what is ``covered``."""
+    vertices = covering(vertices, weights, joints, covered, body)
     regressor = _regressor(vertices, joints, body)
     digest = hashlib.sha256()
     for array in (vertices, weights, joints):
         digest.update(np.ascontiguousarray(array, dtype=np.float32).tobytes())
     return BodyModel(
-        name,
-        digest.hexdigest(),
-        vertices,
-        np.zeros_like(body.shapedirs),
-        regressor,
-        weights,
-        body.faces,
+        name, digest.hexdigest(), vertices, np.zeros_like(body.shapedirs), regressor, weights, body.faces,
         standard_digest=body.digest,
-    )
+    )  # fmt: skip
 
 
 def _weights(fit: BodyFit, pose: TPose, body: BodyModel) -> np.ndarray:

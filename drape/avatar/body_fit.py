@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
 
 from drape.avatar.parts import PARTS, faces_beside, parts_of, plain_part
 from drape.avatar.t_pose import TPose
@@ -22,8 +21,8 @@ from drape.body.model import BodyModel
 from drape.body.skeleton import BONE_ENDS, JOINT_COUNT, JOINT_NAMES, PARENTS
 from drape.forked import each
 from drape.geometry import mesh_graphs, meshes
-from drape.geometry.closest import closest_point, on_border
-from drape.geometry.symmetric import symmetric_factor
+from drape.geometry.closest import SearchedMesh, on_border
+from drape.geometry.symmetric import ShiftedSystems
 
 STIFFNESS = (3e4, 1e4, 3e3, 1e3, 300.0, 100.0, 30.0, 10.0)
 REACH_M = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05)  # how far a point may be that draws, in those rounds
@@ -55,11 +54,10 @@ def fit_to(pose: TPose, body: BodyModel) -> BodyFit:
     vertices = _scaled(body, joints)
     target = _Target(pose, body)
     umbrella = mesh_graphs.umbrella_laplacian(body.faces, len(vertices))
-    square = scipy.sparse.csr_matrix(umbrella.T @ umbrella)
+    systems = ShiftedSystems(umbrella.T @ umbrella)
     for stiffness, reach_m in zip(STIFFNESS, REACH_M, strict=True):
         near, trust = target.near(vertices, reach_m)
-        system = scipy.sparse.diags(trust + 1e-5) + stiffness * square
-        vertices = vertices + symmetric_factor(system).solve(trust[:, None] * (near - vertices))
+        vertices = vertices + systems.solve(trust + 1e-5, stiffness, trust[:, None] * (near - vertices))
     return BodyFit(vertices, joints)
 
 
@@ -67,7 +65,7 @@ class _Target:
     """The character's surface, in parts, to which the skin of ``body`` is drawn."""
 
     def __init__(self, pose: TPose, body: BodyModel) -> None:
-        self._pose, self._body, own = pose, body, parts_of(body.weights)
+        self._body, own = body, parts_of(body.weights)
         self._normals = meshes.face_normals(pose.vertices, pose.faces)
         corners = parts_of(pose.weights)[pose.faces]
         self._faces = [faces_beside(part, corners) for part in PARTS]
@@ -75,6 +73,7 @@ class _Target:
         self._rows = [np.flatnonzero(own == part) for part in range(len(PARTS))]
         known = [part for part in range(len(PARTS)) if len(self._rows[part]) and self._weights[part] > 0.0]
         self._parts = [part for part in known if len(self._faces[part]) >= FEW_FACES]
+        self._surfaces = {part: SearchedMesh(pose.vertices, pose.faces[self._faces[part]]) for part in self._parts}
 
     def near(self, vertices: np.ndarray, reach_m: float) -> tuple[np.ndarray, np.ndarray]:
         """The point [m] (Vb, 3) that draws each of the skin's ``vertices``, and the trust (Vb,) in it: 0 where none
@@ -85,10 +84,10 @@ class _Target:
         def drawn(part: int) -> tuple[np.ndarray, np.ndarray]:
             """Those of the vertices of this ``part``."""
             faces, rows = self._faces[part], self._rows[part]
-            surface = self._pose.faces[faces]
-            found = closest_point(vertices[rows], self._pose.vertices, surface)
+            surface = self._surfaces[part]
+            found = surface.closest(vertices[rows])
             agree = np.einsum("vc,vc->v", facing[rows], self._normals[faces][found.face]) > FACING
-            drawing = agree & (found.distance < reach_m) & ~on_border(found, surface)
+            drawing = agree & (found.distance < reach_m) & ~on_border(found, surface.faces)
             return found.point, self._weights[part] * drawing
 
         for part, (points, drawing) in zip(self._parts, each(drawn, self._parts), strict=True):

@@ -11,8 +11,9 @@ from collections.abc import Mapping
 
 import numpy as np
 import scipy.sparse
+from scipy.sparse.linalg import cg
 
-from drape.avatar.parts import beside, counted_vertices, parts_of
+from drape.avatar.parts import PARTS, beside, counted_vertices, parts_of
 from drape.avatar.t_pose import TPose
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
@@ -20,7 +21,6 @@ from drape.forked import each
 from drape.geometry import mesh_graphs, meshes, rigid, skinning
 from drape.geometry.closest import closest_point
 from drape.geometry.rotations import rotvec_to_matrix
-from drape.geometry.symmetric import symmetric_factor
 
 ROUNDS, MOST_M, MARGIN_M = 3, 0.03, 0.001  # a round brings the skin out by so much at most, and by a margin more
 FACING = 0.4  # the least cosine between normals of what stands out and of the skin below it
@@ -39,30 +39,26 @@ REACH = {"left_shoulder": (0, -80, 0), "right_shoulder": (0, 80, 0)}
 POSES = (REST, ARMS_DOWN, SQUAT, STRIDE, REACH)
 
 
-def covering(
-    vertices: np.ndarray, weights: np.ndarray, joints: np.ndarray, pose: TPose, surface: np.ndarray, body: BodyModel
-) -> np.ndarray:
-    """Returns ``vertices`` [m] (Vb, 3) of a skin, brought out to all of the character's ``surface`` that stands out of
-    it.
-
-    The skin has ``weights`` (Vb, 24) on ``joints`` [m] (24, 3). ``surface`` [m] (V, 3) is that of the character in
-    ``pose``, in the same frame.
+def covering(vertices: np.ndarray, weights: np.ndarray, joints: np.ndarray, pose: TPose, body: BodyModel) -> np.ndarray:
+    """Returns ``vertices`` [m] (Vb, 3) of a skin, brought out to all of the character in ``pose``, in the same frame,
+    that stands out of it. The skin has ``weights`` (Vb, 24) on ``joints`` [m] (24, 3).
     """
     counted, own, theirs = counted_vertices(pose), parts_of(body.weights), parts_of(pose.weights)
     umbrella = mesh_graphs.umbrella_laplacian(body.faces, len(vertices))
-    square = scipy.sparse.csr_matrix(umbrella.T @ umbrella)
+    square = scipy.sparse.csr_matrix(SMOOTHING * (umbrella.T @ umbrella))
+    faces = body.faces[(own != list(PARTS).index("head"))[body.faces].any(axis=1)]  # nothing that counts joins a head
     turned = [rotvec_to_matrix(rotvecs(one))[None] for one in POSES]
     bones = [rigid.bone_transforms(one, joints[None], PARENTS) for one in turned]
-    posed = [skinning.skin_points(surface[None], pose.weights, *one)[0] for one in bones]
-    around = meshes.face_table(pose.faces, len(surface))
+    posed = [skinning.skin_points(pose.vertices[None], pose.weights, *one)[0] for one in bones]
+    around = meshes.face_table(pose.faces, len(pose.vertices))
     theirs_out = [meshes.vertex_normals(seen, pose.faces, table=around)[counted] for seen in posed]
     around = meshes.face_table(body.faces, len(vertices))
 
     def short(number: int) -> np.ndarray:
         """How much [m] (Vb,) the skin is short in the pose of this ``number``."""
         skin, height = skinning.skin_points(vertices[None], weights, *bones[number])[0], np.zeros(len(vertices))
-        nearest = closest_point(posed[number][counted], skin, body.faces)
-        corners = body.faces[nearest.face]
+        nearest = closest_point(posed[number][counted], skin, faces)
+        corners = faces[nearest.face]
         normals = meshes.vertex_normals(skin, body.faces, table=around)
         facing = np.einsum("vk,vkc->vc", nearest.barycentric, normals[corners])
         above = np.einsum("vc,vc->v", facing, posed[number][counted] - nearest.point)
@@ -75,7 +71,8 @@ def covering(
     for _ in range(ROUNDS):
         height = np.max(each(short, range(len(POSES))), axis=0)
         trust = np.where(height > 0.0, 1.0, PLAIN)
-        way = symmetric_factor(scipy.sparse.diags(trust) + SMOOTHING * square).solve(trust * height)
+        # Well conditioned, since no skin is free: some forty products, and no factor.
+        way, _ = cg(scipy.sparse.diags(trust) + square, trust * height, rtol=1e-7)
         vertices = vertices + way[:, None] * meshes.vertex_normals(vertices, body.faces, table=around)
     return vertices
 

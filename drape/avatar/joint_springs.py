@@ -31,7 +31,7 @@ SHORTEST_M = 0.05  # of a spring
 WIDEST_M = 0.03  # of a tail's own radius
 POINTS = 6  # of the cloth of a joint, that may not sink into limbs
 SINKING = 100.0  # what the square of a depth in them costs, of the square of the way that such a point is off
-LOOKED_AT = slice(None, None, 5)  # frames in which cloth may sink
+LOOKED_AT = slice(None, None, 5)  # frames whose cloth counts
 LIMBS = tuple(
     (f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"))
 )
@@ -82,16 +82,17 @@ def fit_springs(distilled: Distilled, clips: Sequence[DrapedClip], wearer: Weare
     _, _, rest = _carried(distilled, ends, skeleton, rows=slice(0, 1))
     hips = min(_limb_line(limb, skeleton.world[0, limb.node])[0][1] for limb in limbs[::2])
     felt = np.repeat(rest[0, :, 1:2] < hips, len(limbs), axis=1)
-    tracks = [compose(pelvis_places(one.motion)[:, None], distilled.fitted(one, unit)) for one in clips]
-    room = _room([_moved(one, ends) for one in tracks], limbs, clips)
+    seen = [_looked_at(one) for one in clips]
+    tracks = [compose(pelvis_places(one.motion)[:, None], distilled.fitted(one, unit)) for one in seen]
+    room = _room([_moved(one, ends) for one in tracks], limbs, seen)
     felt &= room[:, None] > 0.0  # cloth that lies on a limb goes with it
     radius = np.where(felt.any(axis=1), np.clip(room, 0.0, WIDEST_M / unit), 0.0)
     stiffness, gravity, drag = np.array(list(itertools.product(STIFFNESS, GRAVITY, DRAG))).T[..., None]
     costs, on_rig = np.zeros((len(clips), len(drag), distilled.count)), np.zeros((len(clips), distilled.count))
-    for number, (clip, track) in enumerate(zip(clips, tracks, strict=True)):
+    for number, (clip, few, track) in enumerate(zip(clips, seen, tracks, strict=True)):
         at, heads, still = _carried(distilled, ends, clip.motion)
         capsules = _capsules(limbs, felt, clip.motion)
-        cloth = _Cloth.of(distilled, clip, track, capsules, unit)
+        cloth = _Cloth.of(distilled, few, track, _capsules(limbs, felt, few.motion), unit)
         found = tails(Springs(stiffness, gravity, drag, radius), heads, still, clip.motion.fps, capsules)
         head, stiff, swung = (one[LOOKED_AT] for one in (heads[:, None], still[:, None], found))
         costs[number] = cloth.cost(_swung(at[LOOKED_AT, None], head, shortest_turns(head, stiff, swung)))
@@ -103,6 +104,12 @@ def fit_springs(distilled: Distilled, clips: Sequence[DrapedClip], wearer: Weare
     best = best[sprung]
     numbers = Springs(stiffness[best, 0], gravity[best, 0], drag[best, 0], radius[sprung])
     return JointSprings(_only(distilled, sprung), ends[sprung], numbers, limbs, felt[sprung])
+
+
+def _looked_at(clip: DrapedClip) -> DrapedClip:
+    """The frames of ``clip`` whose cloth counts."""
+    rows = np.arange(len(clip.vertices))[LOOKED_AT]
+    return DrapedClip(clip.vertices[rows], clip.motion.part(rows))
 
 
 def _only(distilled: Distilled, kept: np.ndarray) -> Distilled:
@@ -137,12 +144,11 @@ class _Cloth:
         own = distilled.weights[:, len(distilled.joints) :].T
         rows = np.stack([_some(distilled.rest, share) for share in own])
         rest, shares = distilled.rest[rows], np.take_along_axis(own, rows, axis=1)
-        draped = clip.vertices[LOOKED_AT][:, rows] / unit
-        rig = compose(clip.motion.world[1:, distilled.joints, :3, :][LOOKED_AT], distilled.binds)
+        draped = clip.vertices[:, rows] / unit
+        rig = compose(clip.motion.world[1:, distilled.joints, :3, :], distilled.binds)
         on_rig = blended(distilled.on_rig[rows.reshape(-1)], rest.reshape(-1, 3), rig).reshape(draped.shape)
-        others = draped - shares[..., None] * _placed(track[LOOKED_AT], rest)
-        few = replace(legs, starts=legs.starts[LOOKED_AT], ends=legs.ends[LOOKED_AT])
-        return cls(rest, draped, shares, others, on_rig, few)
+        others = draped - shares[..., None] * _placed(track, rest)
+        return cls(rest, draped, shares, others, on_rig, legs)
 
     def cost(self, moves: np.ndarray) -> np.ndarray:
         """What it costs (N, E) that the joints are at ``moves`` (F, N, E, 3, 4)."""

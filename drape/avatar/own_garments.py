@@ -8,10 +8,10 @@ skin or sewn to it, a few faces, what one bone moves as armour, and whatever an 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from drape.avatar.own_clothes import (
 )  # fmt: skip
 from drape.avatar.t_pose import TPose
 from drape.avatar.tucked import TuckedTop, tucked_top
-from drape.avatar.wearer import BareWearer, Wearer
+from drape.avatar.wearer import Wearer
 from drape.avatar.wears import reach_of, why_not
 from drape.body.model import BodyModel
 from drape.errors import DrapeError
@@ -82,20 +82,11 @@ def own_garments(payload: bytes, wearer: Wearer) -> OwnGarments:
     A garment's ``body_digest`` is that of the body of ``wearer`` on which it lies. Raises ``MeshError`` for another
     file.
     """
-    return wearer_and_garments(payload, BareWearer(wearer, None))[1]
-
-
-def wearer_and_garments(payload: bytes, bare: BareWearer) -> tuple[Wearer, OwnGarments]:
-    """The whole wearer of ``bare``, and its ``own_garments``; bodies and garments are made beside each other."""
-    wearer = bare.wearer
     stiff = _stiff(wearer)
     attire, parts = wearer.attire, wearer.attire.parts
     loose = {number for number, part in enumerate(parts) if part.kind in KINDS and part.name not in stiff}
     kinds = [kind for kind in KINDS if any(parts[number].kind == kind for number in loose)]
     numbers = {kind: sorted(number for number in loose if parts[number].kind == kind) for kind in kinds}
-    upper = bare.upper
-    if upper is not None and _halves(kinds) == (True, False):  # its garments lie on that body
-        wearer, upper = bare.whole(), None
     file, body = GltfFile(payload, label=wearer.name), wearer.body_under(_halves(kinds))
     buried = _buried(wearer, body, kinds)
     worn = []
@@ -109,17 +100,11 @@ def wearer_and_garments(payload: bytes, bare: BareWearer) -> tuple[Wearer, OwnGa
         mesh = _mesh(file, wearer, f"{wearer.name}_{kind}", rows)
         worn.append(OwnCloth(kind, tuple(own), tuple(ranges_of(whole).reshape(-1).tolist()), mesh))
     make = partial(_garment_or_why, wearer.name, wearer.digest, body)
-    tasks: list[Callable[[], Any]] = [partial(make, one) for one in worn]
-    if upper is not None:
-        tasks.append(upper)
-    results = each(lambda task: task(), tasks)
-    garments, bodies = results[: len(worn)], results[len(worn) :]
-    if bodies:
-        wearer = bare.whole(*bodies)
+    garments = each(make, worn)
     for one, why in zip(worn, garments, strict=True):
         if isinstance(why, str):
             stiff |= {parts[number].name: why for number in one.numbers}
-    return wearer, OwnGarments(tuple(one for one in garments if not isinstance(one, str)), stiff)
+    return OwnGarments(tuple(one for one in garments if not isinstance(one, str)), stiff)
 
 
 def own_faces(wearer: Wearer, garments: Iterable[Garment]) -> np.ndarray:
@@ -193,8 +178,9 @@ def dressed_in(own: Sequence[Garment], halves: Halves) -> tuple[list[Garment], l
 
 def body_of(garment: Garment, wearer: Wearer, standard: BodyModel) -> BodyModel:
     """The body that ``garment`` was made for: one of those of ``wearer``, or the ``standard`` one."""
-    bodies = (wearer.body, *wearer.bodies.values())
-    return next((one for one in bodies if one.digest == garment.body_digest), standard)
+    if garment.body_digest in (standard.digest, wearer.body.digest):
+        return wearer.body if garment.body_digest == wearer.body.digest else standard
+    return wearer.upper if garment.body_digest == wearer.upper.digest else standard
 
 
 def _halves(kinds: Sequence[str]) -> Halves:

@@ -145,12 +145,11 @@ def fit_moves(
             rows = np.flatnonzero(weights[:, bone])
             share, own = weights[rows, bone], points[rows]
             at = left[:, rows] + share[:, None] * (own @ moves[:, bone].swapaxes(-1, -2))
-            sources, targets, masses = rest[rows], at / share[:, None], share**2
-            if steadiness > 0.0:
-                sources, masses = np.tile(sources, (2, 1)), np.concatenate([masses, steadiness * masses])
-                targets = np.concatenate([targets, own @ first[:, bone].swapaxes(-1, -2)], axis=1)
+            targets = at / share[:, None]
+            if steadiness > 0.0:  # two targets of one point count as the place between them
+                targets = (targets + steadiness * (own @ first[:, bone].swapaxes(-1, -2))) / (1.0 + steadiness)
             if len(rows):
-                moves[:, bone] = rigid_fit(sources, targets, masses)
+                moves[:, bone] = rigid_fit(rest[rows], targets, share**2)
                 left[:, rows] = at - share[:, None] * (own @ moves[:, bone].swapaxes(-1, -2))
     return moves
 

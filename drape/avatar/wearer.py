@@ -11,16 +11,15 @@ import json
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse
 
 from drape.avatar.attire import Attire, AttirePart, attire_of
-from drape.avatar.avatar_body import avatar_body
+from drape.avatar.avatar_body import avatar_body, enclosing_body
 from drape.avatar.body_fit import fit_to
 from drape.avatar.character import character_in
 from drape.avatar.face_colours import face_colours
@@ -41,10 +40,10 @@ from drape.geometry.skinning import skin_points
 from drape.motion.rig_poses import UNIT_TOLERANCE, Rig, poses_to_rig, rig_to_poses
 
 FORMAT_VERSION = 1
-FIT_VERSION = 4  # raised when a change here changes the bodies that come out
+FIT_VERSION = 5  # raised when a change here changes the bodies that come out
 WORN_NOTHING = Attire((), np.zeros(0, dtype=np.int64), (0.8, 0.66, 0.56), np.zeros((0, 3)))
 FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's; more for one with a deeper trunk than ours
-BARE, UPPER = "bare", "upper"
+UPPER = "upper"  # in a file: of the body with its own trousers on
 LIMBS_M = {"leg": (0.25, 1.4), "arm": (0.15, 1.0), "trunk": (0.2, 0.9)}  # lengths of characters that drape
 
 _ARRAYS = ("vertices", "faces", "weights")
@@ -59,12 +58,13 @@ class Wearer:
     the joints. ``scale``: metres per unit of its file. ``median_mm``, ``p95_mm``: how far its trunk and limbs are from
     the body. ``vrm``: "0", "1" or "". ``found_by``, ``confidence`` and ``notes`` as in ``Mapped``. ``file``: what its
     file is asked for later; of one that was stored ``load_file_rig`` reads it where it is wanted. ``attire``: what is
-    what on its surface; it has no parts where an earlier version stored the character. ``bodies``: of one with trousers
-    of its own also the body with these on, which is ``UPPER``: below garments for its upper half.
+    what on its surface; it has no parts where an earlier version stored the character. ``standard``: what ``body`` is
+    made of. ``over``: the body with its own trousers on, where it is made already.
     """
 
     name: str
     digest: str
+    standard: BodyModel
     body: BodyModel
     rig: Rig
     nodes: tuple[str, ...]
@@ -81,11 +81,17 @@ class Wearer:
     notes: tuple[str, ...] = ()
     file: FileRig | None = None
     attire: Attire = WORN_NOTHING
-    bodies: Mapping[str, BodyModel] = field(default_factory=dict)
+    over: BodyModel | None = None
 
     def body_under(self, halves: Halves) -> BodyModel:
         """The body below garments that lie on these ``halves``."""
-        return self.bodies.get(UPPER if halves == (True, False) else BARE, self.body)
+        return self.upper if halves == (True, False) else self.body
+
+    @cached_property
+    def upper(self) -> BodyModel:
+        """The body below garments for the upper half alone: that with its own trousers on, a second of work where none
+        is made yet; ``body`` where it has none."""
+        return upper_body(self) if self.over is None else self.over
 
     @property
     def joints(self) -> dict[str, str]:
@@ -161,34 +167,6 @@ def read_wearer(
     ``told`` as in ``mapped``, ``kinds`` as in ``attire_of``; ``begun`` gets each stage as it begins: read, map, fit.
     Raises ``MeshError``, ``MotionError``, ``BodyError`` or ``NotFound`` for what is no person with skeleton and skin.
     """
-    return bare_wearer(payload, name=name, body=body, told=told, kinds=kinds, begun=begun).whole()
-
-
-class BareWearer(NamedTuple):
-    """A ``wearer`` that has the bare one of its ``bodies`` alone. ``upper`` makes the one with its trousers on, a
-    second of work; None if it has none of its own."""
-
-    wearer: Wearer
-    upper: Callable[[], BodyModel] | None
-
-    def whole(self, upper: BodyModel | None = None) -> Wearer:
-        """The wearer with all its bodies, of which ``upper`` is made here if it is left out."""
-        if self.upper is None:
-            return self.wearer
-        return replace(self.wearer, bodies={**self.wearer.bodies, UPPER: self.upper() if upper is None else upper})
-
-
-def bare_wearer(
-    payload: bytes,
-    *,
-    name: str,
-    body: BodyModel | None = None,
-    told: Mapping[str, str] | None = None,
-    kinds: Mapping[str, str] | None = None,
-    begun: Callable[[str], None] | None = None,
-) -> BareWearer:
-    """Returns what ``read_wearer`` knows once the bare body is fitted, on which most garments lie; its arguments and
-    errors are the same."""
     begins = begun or (lambda stage: None)
     begins("read")
     body = load_body() if body is None else body
@@ -215,15 +193,20 @@ def bare_wearer(
     median_mm, p95_mm = _checked_fit(distances_mm, limit_mm, name, match.notes)
     made_of = json.dumps([FIT_VERSION, body.digest, dict(told or {}), dict(kinds or {})])
     digest = hashlib.sha256(made_of.encode() + payload).hexdigest()
-    wearer = Wearer(
-        name, digest, shaped, rig, character.names, surface, pose.faces, pose.weights, pose.scale,
+    return Wearer(
+        name, digest, body, shaped, rig, character.names, surface, pose.faces, pose.weights, pose.scale,
         pose.height_m, median_mm, p95_mm, character.vrm, match.by, match.confidence, match.notes, whole, layers.attire,
-        {BARE: shaped},
     )  # fmt: skip
-    if not layers.lower.any():
-        return BareWearer(wearer, None)
-    lower = pose.only(layers.lower)
-    return BareWearer(wearer, partial(avatar_body, fit, seen, body, name=name, covered=lower, over=shaped))
+
+
+def upper_body(wearer: Wearer) -> BodyModel:
+    """Returns the body of ``wearer`` brought out to the trousers or skirt that it came in; its ``body`` where these are
+    none, or are skin."""
+    stored = (array.astype(np.float32).astype(np.float64) for array in (wearer.vertices, wearer.weights))
+    vertices, weights = stored  # the same before it is stored and after
+    pose = TPose(vertices, wearer.faces, weights, wearer.body.joints_template, wearer.scale, wearer.height_m)
+    lower = layers_of(wearer.attire, pose).lower
+    return enclosing_body(wearer.body, pose.only(lower), wearer.standard) if lower.any() else wearer.body
 
 
 def _checked_fit(distances_mm: np.ndarray, limit_mm: float, name: str, notes: Sequence[str]) -> tuple[float, float]:
@@ -286,13 +269,15 @@ def rotations(quaternions: Sequence[object] | np.ndarray, nodes: int) -> np.ndar
 def save_wearer(wearer: Wearer, folder: Path) -> Path:
     """Writes the file of ``wearer`` into ``folder``, whole or not at all, and returns its path."""
     rig, body = wearer.rig, wearer.body
+    over = vars(wearer).get("upper", wearer.over)
+    over = None if over is body else over
     header = {
         "format_version": FORMAT_VERSION, "name": wearer.name, "digest": wearer.digest, "scale": wearer.scale,
         "height_m": wearer.height_m, "median_mm": wearer.median_mm, "p95_mm": wearer.p95_mm, "vrm": wearer.vrm,
         "nodes": list(wearer.nodes), "rig_names": list(rig.names), "parents": list(rig.parents),
         "told": dict(rig.sources), "body_digest": body.digest, "standard_digest": body.standard_digest,
         "found_by": wearer.found_by, "confidence": wearer.confidence, "notes": list(wearer.notes),
-        "bodies": {key: one.digest for key, one in wearer.bodies.items() if one is not body},
+        "bodies": {} if over is None else {UPPER: over.digest},
         "parts": wearer.attire.parts, "skin_colour": wearer.attire.skin_colour,
     }  # fmt: skip
     arrays = {
@@ -304,12 +289,11 @@ def save_wearer(wearer: Wearer, folder: Path) -> Path:
         "colours": np.rint(255.0 * wearer.attire.colours).astype(np.uint8),
         "body_weights": body.weights,
         **_body_arrays("", body),
+        **({} if over is None else _body_arrays(f"{UPPER}_", over)),
         "rest_rotations": rig.rest_rotations,
         "rest_translations": rig.rest_translations,
         **({} if wearer.file is None else wearer.file.arrays()),
     }
-    for key, one in wearer.bodies.items():
-        arrays |= {} if one is body else _body_arrays(f"{key}_", one)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / wearer.file_name()
     with whole_file(path) as file:
@@ -343,8 +327,8 @@ def load_wearer(path: Path, body: BodyModel) -> Wearer:
         if header["format_version"] != FORMAT_VERSION or header["standard_digest"] != body.digest:
             raise ValueError("another version, or made for another body")
         worn = _stored_body("", header["body_digest"], header["name"], arrays, body)
-        others = header.get("bodies", {}).items()
-        bodies = {key: _stored_body(f"{key}_", digest, header["name"], arrays, body) for key, digest in others}
+        digest = header.get("bodies", {}).get(UPPER)
+        over = None if digest is None else _stored_body(f"{UPPER}_", digest, header["name"], arrays, body)
         rig = Rig(
             header["rig_names"], header["parents"], arrays["rest_rotations"], arrays["rest_translations"],
             body.joints_template, header["name"], header["told"],
@@ -360,7 +344,7 @@ def load_wearer(path: Path, body: BodyModel) -> Wearer:
             attire = Attire(parts, own, tuple(header["skin_colour"]), colours)
         nodes = tuple(header["nodes"])
         return Wearer(
-            header["name"], header["digest"], worn, rig, nodes, *surface, *figures, attire=attire, bodies=bodies
+            header["name"], header["digest"], body, worn, rig, nodes, *surface, *figures, attire=attire, over=over
         )
     except (*UNREADABLE, DrapeError) as error:
         raise ArtifactError(

@@ -13,7 +13,7 @@ from drape.garment.files.mesh import GarmentMesh
 from drape.garment.jewellery import jewellery_on
 from drape.garment.sheets import pieces_of
 from drape.geometry import mesh_graphs, meshes
-from drape.geometry.closest import closest_point
+from drape.geometry.closest import ClosestPoints, SearchedMesh
 
 # By the bone that carries: the bones whose skin all of the piece must be nearest to. The shank is the knee's, and a
 # heel may be nearer to it.
@@ -30,6 +30,7 @@ THICK = 1.8
 STANDS_OFF_M = 0.009  # median distance from the skin: socks and gloves lie on it, shoes do not
 IN_SKIN = 0.1  # of what stands off it: more is a sock on another foot
 SHAFT = 0.4  # of a boot's area at the shank: a longer shaft bends at the ankle, so it is cloth
+SAMPLED = 8  # one of so many faces is asked first
 NECK_M = 0.05  # an opening that reaches as far below the head's joint is round the neck: a hood is cloth
 
 
@@ -82,8 +83,14 @@ def _carried_by(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[s
     """
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     areas = meshes.face_areas(mesh.vertices, mesh.faces)
-    nearest = closest_point(middles, skin, body.faces)
-    bone = body.weights.argmax(axis=1)[body.faces[nearest.face, nearest.barycentric.argmax(axis=1)]]
+    asked, skinned = SearchedMesh(skin, body.faces), body.weights.argmax(axis=1)
+    some = slice(None, None, SAMPLED)
+    bone = _bones_at(asked.closest(middles[some]), skinned, body)
+    apart = [areas[some][~np.isin(bone, [JOINT_NAMES.index(name) for name in own])].sum() for own in CARRIERS.values()]
+    if min(apart) > (1.0 - WHOLLY) * areas.sum():  # of most garments a few faces tell that no bone carries them
+        return None, True
+    nearest = asked.closest(middles)
+    bone = _bones_at(nearest, skinned, body)
     for carrier, names in CARRIERS.items():
         own = [JOINT_NAMES.index(name) for name in names]
         if areas[np.isin(bone, own)].sum() < WHOLLY * areas.sum():
@@ -92,7 +99,7 @@ def _carried_by(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[s
             floor = (body.regressor @ skin)[own[0], 1] - NECK_M
             low = [one.points[:, 1].min() for one in open_contours(mesh.vertices, mesh.faces)]
             return carrier, min(low, default=np.inf) < floor
-        limb = body.faces[np.isin(body.weights.argmax(axis=1), own)[body.faces].all(axis=1)]
+        limb = body.faces[np.isin(skinned, own)[body.faces].all(axis=1)]
         covered = np.isin(limb, body.faces[nearest.face]).any(axis=1)
         share = areas.sum() / meshes.face_areas(skin, limb[covered]).sum()
         shank = np.isin(bone, [JOINT_NAMES.index(name) for name in SHANK])
@@ -105,3 +112,9 @@ def _carried_by(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[s
             return carrier, share <= THICK and not stands_off
         return carrier, shaft > SHAFT or not stands_off
     return None, True
+
+
+def _bones_at(there: ClosestPoints, skinned: np.ndarray, body: BodyModel) -> np.ndarray:
+    """The bone (n,) that moves each of the points ``there`` of the skin, whose vertices the bones ``skinned`` (Vb,)
+    move."""
+    return skinned[body.faces[there.face, there.barycentric.argmax(axis=1)]]

@@ -59,9 +59,11 @@ def without_pits(points: np.ndarray, faces: np.ndarray, joints: np.ndarray) -> n
     wound, (_, first, second) = np.where(consistent_turn(faces), -1.0, 1.0), meshes.edge_pairs(faces)
     normals = wound[:, None] * meshes.face_normals(points, faces)
     border, corners = np.unique(meshes.boundary_edges(faces)), points[faces].transpose(1, 0, 2)
+    low, high = corners.min(axis=0), corners.max(axis=0)
     for start, end in (pair for chain, _ in bone_chains(joints).values() for pair in pairwise(chain)):
         axis = (end - start) / np.linalg.norm(end - start)
-        for face in np.flatnonzero((crossed(start, end, *corners) != 0) & (np.abs(normals @ axis) > ACROSS)):
+        near = np.flatnonzero(((low <= np.maximum(start, end)) & (high >= np.minimum(start, end))).all(axis=1))
+        for face in near[(crossed(start, end, *corners[:, near]) != 0) & (np.abs(normals[near] @ axis) > ACROSS)]:
             own, outward = piece == piece[face], middles - start
             outward = outward - (outward @ axis)[:, None] * axis
             away = np.maximum(np.linalg.norm(outward, axis=1), 1e-9)

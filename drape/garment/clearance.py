@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from drape.errors import MeshError
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import ClosedMesh
-from drape.geometry.symmetric import symmetric_factor
+from drape.geometry.symmetric import ShiftedSystems, symmetric_factor
 
 CLEARANCE_M = 0.006
 MARGIN_M = 2e-4  # aimed beyond the clearance, so that the last smoothing does not fall short of it
@@ -90,13 +90,13 @@ class _Smoothing:
 
     def __init__(self, laplacian: scipy.sparse.csr_matrix) -> None:
         self._laplacian, self._of, self._factor = laplacian, -1.0, None
+        self._systems = ShiftedSystems(laplacian)
 
     def solve(self, weight: np.ndarray, wanted: np.ndarray, stiffness: float) -> np.ndarray:
         """x (N, 3) for ``weight`` (N,), b = ``wanted`` (N, 3) and s = ``stiffness`` [m^2]."""
         heavy = np.flatnonzero(weight == 1.0)
         if len(heavy) > FEW_HEAVY or np.delete(wanted, heavy, axis=0).any():
-            system = scipy.sparse.diags(weight) + stiffness * self._laplacian
-            return symmetric_factor(system).solve(weight[:, None] * wanted)
+            return self._systems.solve(weight, stiffness, weight[:, None] * wanted)
         if self._factor is None or self._of != stiffness:
             rest = REST_SHARE * scipy.sparse.identity(len(weight)) + stiffness * self._laplacian
             self._of, self._factor = stiffness, symmetric_factor(rest)

@@ -28,6 +28,7 @@ TIGHT, LOOSE = ((10.0, (2,)),), ((1.0, (1, 1, 1, 1, 1, 1)), (0.0, (1, 1, 1, 1, 1
 RETURN_AREA, RETURN_SLOPE, RETURN_ROUNDS = 0.2, 1.0, 40
 WORSE = 1.5  # the misfit of places that were found for the same cloth on another body, over the one there
 RING_SHARE = 0.3  # a second rim this long, of the first, means that the piece runs round a limb
+DENSE = 200  # unknowns up to which a dense matrix is solved sooner than a sparse one
 CUT_FLOOR = 0.02  # weight that a cut costs where the chart has none, so that cuts stay short
 
 
@@ -36,17 +37,17 @@ def rims_cross(uv: np.ndarray, triangles: np.ndarray) -> bool:
 
     A piece that is a disc and has no triangle upside down covers no place twice unless its rim crosses itself.
     """
-    return _crosses(uv, meshes.boundary_edges(triangles))
+    return edges_cross(uv, meshes.boundary_edges(triangles))
 
 
-def _crosses(uv: np.ndarray, rim: np.ndarray) -> bool:
+def edges_cross(uv: np.ndarray, rim: np.ndarray) -> bool:
     """Whether two of the edges ``rim`` (E, 2) cross in the plane ``uv`` (n, 2)."""
     start, along = uv[rim[:, 0]], uv[rim[:, 1]] - uv[rim[:, 0]]
 
     def side(points: np.ndarray) -> np.ndarray:
         """On which side of edge i point j lies (E, E)."""
-        away = points[None] - start[:, None]
-        return along[:, None, 0] * away[..., 1] - along[:, None, 1] * away[..., 0]
+        x, y = (points[:, axis] - start[:, axis, None] for axis in (0, 1))
+        return along[:, :1] * y - along[:, 1:] * x
 
     parted = side(start) * side(uv[rim[:, 1]]) < 0.0
     one, other = rim[np.argwhere(parted & parted.T)].swapaxes(0, 1)
@@ -122,7 +123,7 @@ def _flatten(
                 if not np.isfinite(placed).all() or (meshes.signed_areas(placed, inner) <= 0.0).any():
                     break
                 misfit = _misfit(placed, surface[:real], weight[used[:real]])
-                if misfit < least and not _crosses(placed, rim):
+                if misfit < least and not edges_cross(placed, rim):
                     best, least = placed, misfit
     # A rim on a circle crosses nothing: Tutte's own places are the last resort.
     best = start[:real] if best is None else best
@@ -255,4 +256,8 @@ def _means(edges: np.ndarray, inner: np.ndarray, places: np.ndarray) -> np.ndarr
     index = np.concatenate([every, row[near]]), np.concatenate([every, number[other[near]]])
     ends = places[other[~near]]
     pulled = np.stack([np.bincount(row[~near], axis, count) for axis in ends.T], axis=1)
+    if count <= DENSE:
+        dense = np.zeros((count, count))
+        dense[index] = entries
+        return np.linalg.solve(dense, pulled)
     return symmetric_factor(scipy.sparse.csc_matrix((entries, index), shape=(count, count))).solve(pulled)

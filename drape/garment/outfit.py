@@ -37,7 +37,8 @@ def garments_in(sheets: GarmentMesh, skin: np.ndarray, body: BodyModel) -> np.nd
     own = bears & (area > max(OWN_M2, OWN_SHARE * area.max()))
     group = np.arange(len(area))
     numbers = np.flatnonzero(own)
-    carried = {number: bool(accessory_of(sheets.take_faces(piece == number), skin, body)) for number in numbers}
+    pieces = numbers if len(numbers) > 1 else ()  # nothing is asked of one alone
+    carried = {number: bool(accessory_of(sheets.take_faces(piece == number), skin, body)) for number in pieces}
     for i, a in enumerate(numbers):
         for b in numbers[:i]:
             apart = group[a] != group[b] and carried[a] == carried[b]  # a shoe is no sock

@@ -16,9 +16,9 @@ from scipy.sparse.csgraph import dijkstra
 from drape.forked import each
 from drape.garment.cache import Atlas
 from drape.garment.charts import ChartBlend, ridge_fit, rows_of_patches
-from drape.garment.flatten import lay_alike, lay_flat, rims_cross
+from drape.garment.flatten import edges_cross, lay_alike, lay_flat
 from drape.geometry import jets, mesh_graphs
-from drape.geometry.meshes import signed_areas
+from drape.geometry.meshes import boundary_edges, signed_areas
 
 TRIM, TRIM_ROUNDS = 0.85, 12  # a chart that cannot be laid flat is made smaller by this factor, so often
 FADE = 0.35  # patch scales from a vertex that leaves a chart over which the chart's weight comes back
@@ -54,12 +54,13 @@ def folded_triangles(blend: ChartBlend, uv: np.ndarray, faces: np.ndarray) -> np
 
 def folded_charts(blend: ChartBlend, uv: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Which charts (K,) bool are no bijection in ``uv`` (N, 4, 2): a triangle upside down, or a rim that crosses."""
-    folded = folded_triangles(blend, uv, faces) > 0
     owner, corners = chart_triangles(blend, faces)
-    places = uv.reshape(-1, 2).astype(np.float64)
-    rows = rows_of_patches(owner, len(folded))
+    places, count = uv.reshape(-1, 2).astype(np.float64), int(blend.patch.max()) + 1
+    folded = np.bincount(owner[signed_areas(places, corners) <= 0.0], minlength=count) > 0
+    rim = boundary_edges(corners)  # of all charts, since no two of them share an entry
+    rows = rows_of_patches(blend.patch.reshape(-1)[rim[:, 0]], count)
     for k in np.flatnonzero(~folded):
-        folded[k] = rims_cross(places, corners[rows[k]])
+        folded[k] = edges_cross(places, rim[rows[k]])
     return folded
 
 

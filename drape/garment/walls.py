@@ -12,12 +12,14 @@ rim, which sharp edges part from both.
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import KDTree
 
 from drape.geometry import mesh_graphs, meshes
-from drape.geometry.closest import closest_point
+from drape.geometry.closest import SearchedMesh
 from drape.geometry.symmetric import symmetric_factor
 
 SAME_M = 1e-5  # places so near to each other are one
@@ -108,13 +110,16 @@ def opposite_faces(
 ) -> np.ndarray:
     """The face (n,) opposite to each ``asked`` one (n,) within a wall, -1 where there is none."""
     other, own, start = np.full(len(asked), -1), normals[asked], middles[asked]
-    probes = [start + sign * depth * own for depth in PROBES_M for sign in (-1.0, 1.0)]
-    found = closest_point(np.concatenate(probes), points, faces)
-    for face, point in zip(np.split(found.face, len(probes)), np.split(found.point, len(probes)), strict=True):
-        way = point - start
+    mesh, deepest = SearchedMesh(points, faces), PROBES_M[-1]
+    # A probe's ball lies in that of a deeper one on its side: where that is empty of other cloth, so are all.
+    near = [mesh.closest(start + sign * deepest * own).distance < (1.0 - 1e-9) * deepest for sign in (-1.0, 1.0)]
+    for depth, (sign, beside) in product(PROBES_M, zip((-1.0, 1.0), near, strict=True)):
+        rows = np.flatnonzero(beside & (other < 0))
+        found = mesh.closest(start[rows] + sign * depth * own[rows])
+        way = found.point - start[rows]
         length = np.linalg.norm(way, axis=1)
-        straight = np.abs(np.einsum("fc,fc->f", way, own)) > 0.8 * length
-        facing = np.abs(np.einsum("fc,fc->f", own, normals[face])) > FACING
-        apart = (length > SAME_M) & (face != asked) & straight & facing
-        other = np.where((other < 0) & apart, face, other)
+        straight = np.abs(np.einsum("fc,fc->f", way, own[rows])) > 0.8 * length
+        facing = np.abs(np.einsum("fc,fc->f", own[rows], normals[found.face])) > FACING
+        apart = (length > SAME_M) & (found.face != asked[rows]) & straight & facing
+        other[rows[apart]] = found.face[apart]
     return other

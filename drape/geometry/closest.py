@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import igl
 import numpy as np
@@ -17,26 +18,46 @@ LEAF = 32  # vertices in a leaf: the fastest for tens of neighbours
 NEEDLE = 1e-12  # squared sine below which a triangle has no barycentric coordinates; its nearest corner stands in
 
 
-class ClosestPoints(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class ClosestPoints:
     """The points of a mesh nearest to N points: the unsigned ``distance`` [m] (N,), the ``face`` (N,) that each lies
-    in, its ``barycentric`` coordinates there (N, 3), and the ``point`` itself [m] (N, 3).
+    in, the ``point`` itself [m] (N, 3), and the ``corners`` [m] (N, 3, 3) of that face.
     """
 
     distance: np.ndarray
     face: np.ndarray
-    barycentric: np.ndarray
     point: np.ndarray
+    corners: np.ndarray
+
+    @cached_property
+    def barycentric(self) -> np.ndarray:
+        """The coordinates (N, 3) of each point in its face."""
+        return barycentric(self.point, self.corners)
+
+
+class SearchedMesh:
+    """A mesh that is asked for nearest points many times, whose tree is made once: ``vertices`` [m] (V, 3), ``faces``
+    (F, 3)."""
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
+        _, self.vertices, self.faces = _checked(np.zeros((0, 3)), vertices, faces)
+        self._tree = igl.AABB()
+        self._tree.init(self.vertices, self.faces)
+
+    def closest(self, points: np.ndarray) -> ClosestPoints:
+        """The nearest point of the mesh to each of ``points`` [m] (N, 3)."""
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        if len(points) == 0:
+            return ClosestPoints(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+        squared, face, nearest = map(np.asarray, self._tree.squared_distance(self.vertices, self.faces, points))
+        face = face.reshape(-1)
+        return ClosestPoints(np.sqrt(squared.reshape(-1)), face, nearest, self.vertices[self.faces[face]])
 
 
 def closest_point(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> ClosestPoints:
     """The nearest point of the mesh to each of ``points`` [m] (N, 3)."""
     points, vertices, faces = _checked(points, vertices, faces)
-    if len(points) == 0:
-        return ClosestPoints(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
-    squared, face, nearest = igl.point_mesh_squared_distance(points, vertices, faces)
-    nearest, face = np.asarray(nearest), np.asarray(face).reshape(-1)
-    weights = barycentric(nearest, vertices[faces[face]])
-    return ClosestPoints(np.sqrt(np.asarray(squared).reshape(-1)), face, weights, nearest)
+    return SearchedMesh(vertices, faces).closest(points)
 
 
 def nearest_vertices(points: np.ndarray, vertices: np.ndarray, count: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -76,16 +97,14 @@ def signed_distance(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray)
     return np.asarray(igl.signed_distance(points, vertices, faces, sign_type=kind)[0]).reshape(-1)
 
 
-class ClosedMesh:
+class ClosedMesh(SearchedMesh):
     """A closed mesh that is asked for signed distances many times: ``vertices`` [m] (V, 3), ``faces`` (F, 3).
 
     The sign is that of ``signed_distance``; the tree and the normals that it takes are made once.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
-        _, self.vertices, self.faces = _checked(np.zeros((0, 3)), vertices, faces)
-        self._tree = igl.AABB()
-        self._tree.init(self.vertices, self.faces)
+        super().__init__(vertices, faces)
         corners = self.vertices[self.faces]
         self._face_normals = face_normals(self.vertices, self.faces)
         following, last = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
@@ -102,20 +121,15 @@ class ClosedMesh:
 
     def signed_closest(self, points: np.ndarray) -> tuple[np.ndarray, ClosestPoints]:
         """Distances [m] (N,) of ``points`` (N, 3), negative inside, and the nearest points of the mesh."""
-        points = np.ascontiguousarray(points, dtype=np.float64)
-        if len(points) == 0:
-            return np.zeros(0), closest_point(points, self.vertices, self.faces)
-        squared, face, nearest = self._tree.squared_distance(self.vertices, self.faces, points)
-        face, nearest = np.asarray(face).reshape(-1), np.asarray(nearest)
-        weights = barycentric(nearest, self.vertices[self.faces[face]])
+        found = self.closest(points)
+        face, weights = found.face, found.barycentric
         there = weights > ON_EDGE
         normal, count = self._face_normals[face], there.sum(axis=1)
         on_edge, on_corner = count == 2, count == 1
         normal[on_edge] = self._edge_normals[face[on_edge], there[on_edge].argmin(axis=1)]
         normal[on_corner] = self._vertex_normals[self.faces[face[on_corner], there[on_corner].argmax(axis=1)]]
-        distance = np.sqrt(np.asarray(squared).reshape(-1))
-        outside = np.einsum("nc,nc->n", points - nearest, normal) >= 0.0
-        return np.where(outside, distance, -distance), ClosestPoints(distance, face, weights, nearest)
+        outside = np.einsum("nc,nc->n", points - found.point, normal) >= 0.0
+        return np.where(outside, found.distance, -found.distance), found
 
 
 def _gathered(rows: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:

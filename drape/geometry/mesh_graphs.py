@@ -29,8 +29,9 @@ def adjacency(faces: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
 
 def edge_matrix(edges: np.ndarray, values: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
     """Symmetric matrix (V, V) with ``values`` (E,) at ``edges`` (E, 2), each edge given once."""
-    one_way = scipy.sparse.coo_matrix((values, (edges[:, 0], edges[:, 1])), shape=(vertex_count,) * 2).tocsr()
-    return one_way + one_way.T
+    both = np.concatenate([edges, edges[:, ::-1]])
+    entries = np.concatenate([values, values]), (both[:, 0], both[:, 1])
+    return scipy.sparse.csr_matrix(entries, shape=(vertex_count, vertex_count))
 
 
 def edge_graph(vertices: np.ndarray, faces: np.ndarray) -> scipy.sparse.csr_matrix:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from drape.avatar.own_clothes import Halves, joined_halves
 from drape.avatar.own_garments import MARK, OWN, body_of, dressed_in
-from drape.avatar.wearer import Wearer, load_wearer
+from drape.avatar.wearer import Wearer, load_wearer, upper_body
 from drape.avatar.wears import Reach, reach_of, why_not
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError, InputError, NotFound, TooLarge, did_you_mean
@@ -322,10 +322,12 @@ class _Dressed:
 
     def cut(self, entry: Entry, halves: Halves) -> Entry:
         """``entry`` for this avatar, among garments that lie on these ``halves``."""
-        body = self.wearer.body_under(halves)
-        digest = tailored_digest(entry.garment, body)
         with self._one:
             go_on()
+            if halves == (True, False) and self.wearer.over is None:
+                self.wearer = replace(self.wearer, over=self._make(upper_body, self.wearer))
+            body = self.wearer.body_under(halves)
+            digest = tailored_digest(entry.garment, body)
             if body.digest not in self.stages:
                 self.stages[body.digest] = self._stages_on(body)
             if digest not in self._cut:

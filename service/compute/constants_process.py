@@ -2,30 +2,23 @@
 
 Making them holds the interpreter lock for tens of milliseconds at a time, and a frame asks for that lock some fifty
 times.
-``python -m service.compute.constants_process`` is that process: calls come in on its standard input,
-pickled, results go out on its standard output, and it ends where that ends. Arrays travel beside the pickles,
-uncopied, with the lock released.
+``service.compute.constants_calls`` is that process.
 """
 
 from __future__ import annotations
 
 import contextlib
 import logging
-import os
-import pickle
-import struct
-import sys
 import threading
 from collections.abc import Callable
-from typing import IO, Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
-from service.compute.background import step_back
+from service.compute.constants_calls import receive, send
 from service.compute.processes import Process, kill, start_process
 from service.watch.watchdog import spent_s, waits_for
 
 P = ParamSpec("P")
 Result = TypeVar("Result")
-COUNT = struct.Struct("<Q")
 log = logging.getLogger("drape.service")
 
 
@@ -87,7 +80,7 @@ class ConstantsProcess:
 
     def _started(self) -> Process:
         if self._process is None:
-            self._process = start_process("service.compute.constants_process")
+            self._process = start_process("service.compute.constants_calls")
         return self._process
 
     def _end(self) -> None:
@@ -106,54 +99,3 @@ class ConstantsProcess:
             kill(process)
         with self._one:
             self._end()
-
-
-def send(file: IO[bytes], thing: Any) -> None:
-    """Writes ``thing`` for ``receive``: its pickle, and the memory of its arrays."""
-    buffers: list[pickle.PickleBuffer] = []
-    parts = [pickle.dumps(thing, protocol=5, buffer_callback=buffers.append), *(one.raw() for one in buffers)]
-    file.write(COUNT.pack(len(parts)))
-    for part in parts:
-        file.write(COUNT.pack(len(part)))
-        file.write(part)
-    file.flush()
-
-
-def receive(file: IO[bytes]) -> Any:
-    """The thing that ``send`` wrote; ``EOFError`` where nothing more comes."""
-    text, *buffers = [_read(file, _number(file)) for _ in range(_number(file))]
-    return pickle.loads(text, buffers=buffers)
-
-
-def _number(file: IO[bytes]) -> int:
-    return COUNT.unpack(_read(file, COUNT.size))[0]
-
-
-def _read(file: IO[bytes], size: int) -> bytearray:
-    place = bytearray(size)
-    into = memoryview(place)
-    while into:
-        taken = file.readinto(into)  # pyright: ignore[reportAttributeAccessIssue]
-        if not taken:
-            raise EOFError
-        into = into[taken:]
-    return place
-
-
-def main() -> None:
-    """Makes the calls that come in on standard input until it ends."""
-    step_back()
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what is printed is no answer
-    with contextlib.suppress(EOFError):
-        while True:
-            function, arguments, named = receive(sys.stdin.buffer)
-            try:
-                answer = True, function(*arguments, **named)
-            except Exception as error:
-                answer = False, error
-            send(answers, answer)
-
-
-if __name__ == "__main__":
-    main()

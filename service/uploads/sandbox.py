@@ -79,21 +79,19 @@ def intake_files(file: Path, out: Path, *, avatar: str | None, body: str) -> lis
 def avatar_files(file: Path, out: Path, *, meaning: str | None, body: str) -> tuple[list[str], dict[str, str] | None]:
     """The names of the file of the wearer that the character in ``file`` becomes, and of those of its own clothes; why
     others of these are no cloth, None where nobody asked for them."""
-    from drape.avatar.own_garments import wearer_and_garments
-    from drape.avatar.wearer import bare_wearer, save_wearer, wearer_name
+    from drape.avatar.own_garments import own_garments
+    from drape.avatar.wearer import read_wearer, save_wearer, wearer_name
     from drape.body.assets import load_body
     from drape.garment.cache import save_garment
 
     named, payload = json.loads(meaning) if meaning else {}, file.read_bytes()
-    bare = bare_wearer(
+    own, wearer = None, read_wearer(
         payload, name=wearer_name(file.stem), body=load_body(body), told=named.get("joints"),
         kinds=named.get("parts"), begun=_say,
     )  # fmt: skip
     if named.get("alive"):
         _say("cloth")
-        wearer, own = wearer_and_garments(payload, bare)
-    else:
-        wearer, own = bare.whole(), None
+        own = own_garments(payload, wearer)
     _say("store")
     garments = [] if own is None else [save_garment(one, out, quick=True) for one in own.garments]
     return [path.name for path in (save_wearer(wearer, out), *garments)], None if own is None else own.stiff

@@ -27,7 +27,7 @@ def pose(body: BodyModel) -> TPose:
 
 def test_a_skin_that_is_short_comes_out_in_every_pose(body: BodyModel, pose: TPose):
     short = body.v_template - DEEP_M * meshes.vertex_normals(body.v_template, body.faces)
-    found = covering(short, body.weights, body.joints_template, pose, body.v_template, body)
+    found = covering(short, body.weights, body.joints_template, pose, body)
     counted = counted_vertices(pose)
     for angles in (POSES[0], SQUAT):
         turned = rotvecs(angles)[None]
@@ -40,7 +40,7 @@ def test_a_skin_that_is_short_comes_out_in_every_pose(body: BodyModel, pose: TPo
 
 def test_a_skin_that_holds_all_goes_out_by_no_more_than_the_margin(body: BodyModel, pose: TPose):
     wide = body.v_template + DEEP_M * meshes.vertex_normals(body.v_template, body.faces)
-    found = covering(wide, body.weights, body.joints_template, pose, body.v_template, body)
+    found = covering(wide, body.weights, body.joints_template, pose, body)
     moved = np.linalg.norm(found - wide, axis=1)
     assert np.median(moved) < MARGIN_M and np.quantile(moved, 0.98) < DEEP_M
 
@@ -52,7 +52,7 @@ def test_a_piece_of_the_trunk_that_stays_where_the_thigh_goes_is_held(body: Body
     weights = body.weights.copy()
     weights[piece] = np.eye(len(weights[0]))[0]
     stiff = replace(pose, weights=weights)
-    found = covering(body.v_template, body.weights, body.joints_template, stiff, body.v_template, body)
+    found = covering(body.v_template, body.weights, body.joints_template, stiff, body)
     bones = body.bones(rotvecs(SQUAT)[None])
     seen = skin_points(body.v_template[None], weights, *bones)[0]
     before, after = (

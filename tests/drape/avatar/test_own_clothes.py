@@ -27,7 +27,7 @@ from drape.avatar.own_garments import Undressed, undressed
 from drape.avatar.rig_file import GAMMA, bare_file
 from drape.avatar.t_pose import TPose
 from drape.avatar.tucked import BELOW_M
-from drape.avatar.wearer import UPPER, Wearer, load_wearer, read_wearer, save_wearer
+from drape.avatar.wearer import Wearer, load_wearer, read_wearer, save_wearer
 from drape.avatar.wears import THICKEST, legs_thickness, reach_of, why_not
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
@@ -120,14 +120,14 @@ def test_the_body_is_laid_below_the_clothes(whole: Wearer, cut_away: Wearer, bod
 
 def test_a_top_lies_over_trousers_that_stay(whole: Wearer):
     """A T-shirt lies over trousers that stay: the body below it encloses them, and the bare one does not."""
-    assert set(whole.bodies) == {"bare", UPPER} and whole.body_under(Halves(False, True)) is whole.bodies["bare"]
+    assert whole.body_under(Halves(False, True)) is whole.body
     trousers = np.unique(whole.faces[taken_off(whole.attire, Halves(False, True))])
     hips = trousers[whole.vertices[trousers, 1] > whole.body.joints_template[0, 1] - 0.05]
     out = {
         key: signed_distance(whole.vertices[hips], one.v_template, one.faces)
-        for key, one in (("bare", whole.body), (UPPER, whole.body_under(Halves(True, False))))
+        for key, one in (("bare", whole.body), ("upper", whole.body_under(Halves(True, False))))
     }
-    assert (out["bare"] > 0.005).mean() > 0.3 and (out[UPPER] > 0.005).mean() < 0.02
+    assert (out["bare"] > 0.005).mean() > 0.3 and (out["upper"] > 0.005).mean() < 0.02
 
 
 @pytest.mark.parametrize("made", ["whole", "cut_away"])
@@ -279,8 +279,15 @@ def test_bare_skin_lies_on_the_character_s_own_nodes(cut_away: Wearer):
 
 
 def test_a_stored_wearer_keeps_its_parts_and_bodies(whole: Wearer, body: BodyModel, tmp_path: Path):
+    """The body with its trousers on is the same whether it was stored or is made of what was."""
+    fresh = load_wearer(save_wearer(replace(whole), tmp_path / "fresh"), body)
+    assert fresh.over is None and fresh.upper.digest == whole.upper.digest
     again = load_wearer(save_wearer(whole, tmp_path), body)
-    assert again.attire.parts == whole.attire.parts and np.array_equal(again.attire.part, whole.attire.part)
+    assert (
+        again.over is not None
+        and again.attire.parts == whole.attire.parts
+        and np.array_equal(again.attire.part, whole.attire.part)
+    )
     assert again.attire.skin_colour == whole.attire.skin_colour
     assert np.allclose(again.attire.colours, whole.attire.colours, atol=0.5 / 255.0)
     for halves in (Halves(True, False), Halves(False, True), Halves(True, True)):
@@ -291,7 +298,7 @@ def test_a_stored_wearer_keeps_its_parts_and_bodies(whole: Wearer, body: BodyMod
 
 def test_a_bare_character_has_one_body():
     wearer = bare_wearer()
-    assert wearer.body_under(Halves(True, False)) is wearer.body and set(wearer.bodies) == {"bare"}
+    assert wearer.body_under(Halves(True, False)) is wearer.body
 
 
 def test_legs_as_thick_as_long_wear_no_trousers(body: BodyModel, shelf: dict[str, Garment]):

@@ -23,9 +23,8 @@ from drape.avatar.own_garments import (
     own_faces,
     own_garments,
     undressed,
-    wearer_and_garments,
 )
-from drape.avatar.wearer import UPPER, BareWearer, Wearer, bare_wearer, read_wearer
+from drape.avatar.wearer import Wearer, read_wearer, upper_body
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.catalog import find_garments, open_garment
@@ -57,23 +56,13 @@ def file(body: BodyModel, shelf: dict[str, Garment]) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def bare(file: bytes, body: BodyModel) -> BareWearer:
-    return bare_wearer(file, name="me", body=body)
+def wearer(file: bytes, body: BodyModel) -> Wearer:
+    return read_wearer(file, name="me", body=body)
 
 
 @pytest.fixture(scope="module")
-def both(file: bytes, bare: BareWearer) -> tuple[Wearer, OwnGarments]:
-    return wearer_and_garments(file, bare)
-
-
-@pytest.fixture(scope="module")
-def wearer(both: tuple[Wearer, OwnGarments]) -> Wearer:
-    return both[0]
-
-
-@pytest.fixture(scope="module")
-def own(both: tuple[Wearer, OwnGarments]) -> OwnGarments:
-    return both[1]
+def own(file: bytes, wearer: Wearer) -> OwnGarments:
+    return own_garments(file, wearer)
 
 
 def test_own_clothes_are_garments_where_they_were(own: OwnGarments, wearer: Wearer):
@@ -81,7 +70,7 @@ def test_own_clothes_are_garments_where_they_were(own: OwnGarments, wearer: Wear
     assert [one.name for one in own.garments] == ["me~trousers", "me~top"]
     for garment in own.garments:
         kind = garment.manifest[OWN]["kind"]
-        assert garment.body_digest in {one.digest for one in wearer.bodies.values()}
+        assert garment.body_digest == wearer.body.digest
         rows = wearer.attire.of_kinds((kind,))
         assert (own_faces(wearer, [garment]) == rows).all()
         assert len(garment.surface.faces) == rows.sum()
@@ -91,19 +80,22 @@ def test_own_clothes_are_garments_where_they_were(own: OwnGarments, wearer: Wear
         assert signed_distance(points, wearer.body.v_template, wearer.body.faces).min() > -0.001
 
 
-def test_bodies_made_beside_garments_are_those_made_alone(bare: BareWearer, wearer: Wearer):
-    assert {key: one.digest for key, one in bare.whole().bodies.items()} == {
-        key: one.digest for key, one in wearer.bodies.items()
-    }
-    assert len(wearer.bodies) == 2
+def test_the_body_with_trousers_on_is_made_when_a_garment_lies_on_it(wearer: Wearer, own: OwnGarments):
+    """Trousers and top lie on the bare one, so nothing of the other was computed for them."""
+    fresh = replace(wearer)
+    assert len(own.garments) == 2 and "upper" not in vars(fresh)
+    assert fresh.body_under(Halves(True, True)) is wearer.body and "upper" not in vars(fresh)
+    assert fresh.body_under(Halves(True, False)).digest == upper_body(wearer).digest != wearer.body.digest
 
 
-def test_a_top_over_trousers_that_are_no_cloth_lies_on_the_body_with_them(file: bytes, bare: BareWearer):
-    attire = bare.wearer.attire
-    parts = tuple(one._replace(kind="shoes") if one.kind != "top" else one for one in attire.parts)
-    only_top = replace(bare.wearer, attire=attire._replace(parts=parts))
-    wearer, own = wearer_and_garments(file, BareWearer(only_top, bare.upper))
-    assert [one.body_digest for one in own.garments] == [wearer.bodies[UPPER].digest]
+def test_a_top_over_trousers_that_are_no_cloth_lies_on_the_body_with_them(file: bytes, wearer: Wearer):
+    """Trousers that one bone moves, as armour."""
+    weights = wearer.weights.copy()
+    weights[np.unique(wearer.faces[wearer.attire.of_kinds(("trousers",))])] = np.eye(len(SPINE))[0]
+    armoured = replace(wearer, weights=weights)
+    found = own_garments(file, armoured)
+    assert [one.manifest[OWN]["kind"] for one in found.garments] == ["top"]
+    assert found.garments[0].body_digest == armoured.upper.digest != wearer.body.digest
 
 
 def test_they_keep_their_materials(own: OwnGarments):

@@ -149,3 +149,16 @@ def test_clusters_are_the_rigid_parts():
 def test_farthest_points_are_corners():
     line = np.linspace(0.0, 1.0, 11)[:, None] * [1.0, 0.0, 0.0]
     assert set(farthest_points(line, 3)) == {0, 5, 10}
+
+
+def test_steadiness_counts_as_points_that_stay(skinned: tuple[np.ndarray, ...]):
+    """As if each point were there twice, the second time where the bone was at first, with that share of its mass."""
+    rest, weights, _, frames = skinned
+    bone, rows = 1, weights[:, 1] > 0.0
+    start = np.tile(np.eye(3, 4), (len(frames), BONES, 1, 1))
+    found = fit_moves(weights, rest, frames, start, np.array([bone]), steadiness=0.3)[:, bone]
+    share = weights[rows, bone]
+    aims = rest[rows] + (frames[:, rows] - rest[rows]) / share[:, None]
+    twice = np.concatenate([aims, np.broadcast_to(rest[rows], aims.shape)], axis=1)
+    expected = rigid_fit(np.tile(rest[rows], (2, 1)), twice, np.concatenate([share**2, 0.3 * share**2]))
+    assert np.allclose(found, expected, atol=1e-9)

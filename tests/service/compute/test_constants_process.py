@@ -28,7 +28,8 @@ from drape.live.fold_constants import fold_constants
 from drape.stages.collision import Collision
 from drape.wire.options import Advanced, DrapeOptions
 from service.compute.background import NICE, thread_steps_back
-from service.compute.constants_process import ConstantsProcess, receive, send
+from service.compute.constants_calls import receive, send
+from service.compute.constants_process import ConstantsProcess
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import ROOT, Settings
 
@@ -101,7 +102,7 @@ def test_where_the_process_is_lost_calls_are_made_here_and_the_next_in_a_new_one
 
 
 def test_the_process_ends_with_who_asked():
-    command = [sys.executable, "-m", "service.compute.constants_process"]
+    command = [sys.executable, "-m", "service.compute.constants_calls"]
     with subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin is not None and process.stdout is not None
         send(process.stdin, (abs, (-2,), {}))

@@ -92,7 +92,7 @@ def test_no_work_of_clients_forks_the_service(make_settings: Callable[..., Setti
             for one in beside:
                 one.join()
     assert len(FORKS) == before
-    assert sorted(name for name, _ in started) == ["block", "constants_process", *2 * ["sandbox"]]
+    assert sorted(name for name, _ in started) == ["block", "constants_calls", *2 * ["sandbox"]]
     assert all(process.returncode is not None for _, process in started)
 
 
