@@ -7,8 +7,8 @@ launch are made by a few sums over all of them. This file needs NumPy alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,14 +16,14 @@ from drape.engine.card_frames import CardRecord, Pool, Ranges, piece_bytes
 from drape.engine.packer import Record, address_of
 
 FRAME_SCRATCH_BYTES = 32 << 20  # of a group of threads
-TASK = 4  # words of a task: the row, where the frame tells, scratch and its size
+TASK = 5  # words of a task: the row, where the frame tells, scratch and its size, and the frames of its chain
 TOLD = 17  # numbers of 64 bits that a frame tells, the last of which is what the engine's function returns
 
 
 class FrameTemplate:
     """The row of a frame before it has a place and numbers.
 
-    ``call`` is a ``FrameCall``, whose parts lie in the row but for those that are ``placed`` on the card. ``pieces`` are
+    ``call`` is a ``FrameCall``; its parts lie in the row but for those that are ``placed`` on the card. ``pieces`` are
     arrays uint8 of this machine that stand for memory which each frame has for itself. ``numbers`` (n,) uint64 are the
     frame's own, at the end of the row.
     """
@@ -60,14 +60,16 @@ class FrameTemplate:
             rows[:, place] += at[:, number, None]
 
 
-class _Group(NamedTuple):
-    """Frames of one ``template``: where each tells (n,) and where its last pieces are (n, w), both in what comes back,
-    the addresses of the pieces before these (n, p), and its ``numbers`` (n, k), of the ``columns`` (k,) of its row."""
+class Group(NamedTuple):
+    """Frames of one ``template``: the ``place`` (n,) of each among those of the launch, the addresses of its pieces but
+    the last ones (n, p), where it writes these (n, w) in what comes ``back`` or, (w,), else aside, and its ``numbers``
+    (n, k), of the ``columns`` (k,) of its row."""
 
     template: FrameTemplate
-    told: np.ndarray
-    written: np.ndarray
+    place: np.ndarray
     pieces: np.ndarray
+    written: np.ndarray
+    back: np.ndarray
     columns: np.ndarray
     numbers: np.ndarray
 
@@ -76,48 +78,72 @@ class FrameLaunch:
     """The frames of a launch: their rows go to the card by one copy, and what they tell comes back by one."""
 
     def __init__(self, pool: Pool) -> None:
-        self._pool, self._groups = pool, list[_Group]()
-        self._row_words = self.out_bytes = self.count = 0
+        self._pool, self._groups, self._chains = pool, list[Group](), list[int]()
+        self._row_words = self._back_bytes = self._aside_bytes = 0
 
-    def reserve(self, size: int) -> int:
-        """Reserves ``size`` bytes of what comes back, and returns where they begin there."""
-        begin = self.out_bytes
-        self.out_bytes += piece_bytes(size)
+    def __len__(self) -> int:
+        return len(self._chains)
+
+    def reserve(self, size: int, *, back: bool = True) -> int:
+        """Reserves ``size`` bytes of what comes back, or aside from it, and returns where they begin there."""
+        begin = self._back_bytes if back else self._aside_bytes
+        if back:
+            self._back_bytes += piece_bytes(size)
+        else:
+            self._aside_bytes += piece_bytes(size)
         return begin
 
-    def add(self, *group: Any) -> None:
-        """Adds frames, by the fields of ``_Group``."""
-        made = _Group(*group)
-        self._groups.append(made)
-        self.count += len(made.told)
-        self._row_words += len(made.told) * made.template.size
+    def chains(self, lengths: Iterable[int]) -> int:
+        """Adds frames in chains of these ``lengths``, of which each goes on from the one before. Returns the place of
+        the first one."""
+        begin = len(self)
+        for length in lengths:
+            self._chains += [length, *[0] * (length - 1)]
+        return begin
+
+    def add(self, group: Group) -> None:
+        """Adds the rows of such frames."""
+        self._groups.append(group)
+        self._row_words += len(group.place) * group.template.size
 
     @property
     def row_bytes(self) -> int:
         """The bytes that go to the card: a task of each frame, and its row."""
-        return 8 * (TASK * self.count + self._row_words)
+        return 8 * (TASK * len(self) + self._row_words)
+
+    @property
+    def out_bytes(self) -> int:
+        """The bytes that frames write: what they tell, what comes back, and what does not."""
+        return self._told_bytes + self._back_bytes + self._aside_bytes
 
     def draw(self, at: int, out: int, scratch: int, groups: int, threads: int) -> None:
-        """Writes the rows to the address ``at`` and begins the launch, which fills what comes back at ``out``.
+        """Writes the rows to the address ``at`` and begins the launch, which writes at ``out``.
 
         ``groups`` of ``threads`` draw the frames, each with ``FRAME_SCRATCH_BYTES`` from ``scratch`` on.
         """
-        words = np.empty(TASK * self.count + self._row_words, np.uint64)
-        tasks, place, first = words[: TASK * self.count].reshape(-1, TASK), TASK * self.count, 0
-        for template, told, written, pieces, columns, numbers in self._groups:
-            count = len(told)
-            rows = words[place : place + count * template.size].reshape(count, -1)
-            begin = at + 8 * (place + template.size * np.arange(count))
-            template.fill(rows, np.concatenate([begin[:, None], pieces, written + out], axis=1).astype(np.uint64))
+        words = np.empty(self.row_bytes // 8, np.uint64)
+        tasks, first = words[: TASK * len(self)].reshape(-1, TASK), TASK * len(self)
+        back = out + self._told_bytes
+        for template, place, pieces, written, comes_back, columns, numbers in self._groups:
+            rows = words[first : first + len(place) * template.size].reshape(len(place), -1)
+            begin = at + 8 * (first + template.size * np.arange(len(place)))
+            ends = written + np.where(comes_back, back, back + self._back_bytes)
+            template.fill(rows, np.concatenate([begin[:, None], pieces, ends], axis=1).astype(np.uint64))
             rows[:, columns] = numbers
-            tasks[first : first + count, 0], tasks[first : first + count, 1] = begin, told + out
-            place, first = place + rows.size, first + count
-        tasks[:, 2], tasks[:, 3] = scratch, FRAME_SCRATCH_BYTES
+            tasks[place, 0], first = begin, first + rows.size
+        tasks[:, 1] = out + 8 * TOLD * np.arange(len(self))
+        tasks[:, 2], tasks[:, 3], tasks[:, 4] = scratch, FRAME_SCRATCH_BYTES, self._chains
         self._pool.card.write(at, words)
-        self._pool.card.frames(at, self.count, min(groups, self.count), threads)
+        self._pool.card.frames(at, len(self), min(groups, len(self)), threads)
 
-    def told(self, out: int) -> np.ndarray:
-        """Returns what came back (``out_bytes``,) uint8 of the launch that wrote at ``out``."""
-        found = np.empty(self.out_bytes, np.uint8)
+    def told(self, out: int) -> tuple[np.ndarray, np.ndarray]:
+        """Returns what the frames of the launch that wrote at ``out`` tell (F, TOLD) int64, and the uint8 that came
+        back."""
+        found = np.empty(self._told_bytes + self._back_bytes, np.uint8)
         self._pool.card.read(out, found)
-        return found
+        told = found[: 8 * TOLD * len(self)].view(np.int64).reshape(-1, TOLD)
+        return told, found[self._told_bytes :]
+
+    @property
+    def _told_bytes(self) -> int:
+        return piece_bytes(8 * TOLD * len(self))

@@ -11,7 +11,7 @@ import threading
 import time
 import weakref
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
@@ -64,6 +64,10 @@ class Slot:
     def __init__(self, lane: Lane, size: int) -> None:
         self._lane, self.size, self.address = lane, size, lane.take(size)
 
+    def is_of(self, lane: Lane) -> bool:
+        """Whether it is on the card of ``lane``."""
+        return self._lane is lane
+
     def read(self) -> np.ndarray | None:
         """Returns what is in it (size,) uint8; None if the card is gone."""
         piece = np.empty(self.size, np.uint8)
@@ -86,8 +90,8 @@ class Asked(Protocol):
         """Adds the frames to ``launch``."""
         ...
 
-    def read(self, found: np.ndarray) -> None:
-        """Takes the frames from what came back ``found``."""
+    def read(self, told: np.ndarray, back: np.ndarray) -> None:
+        """Takes the frames from what those of the launch have ``told`` (F, TOLD), and from what came ``back``."""
         ...
 
 
@@ -118,7 +122,7 @@ class Lane:
         self._left = OrderedDict[int, tuple[list[np.ndarray], CardRecord]]()  # by what the host holds of a memory
         self._left_bytes, self._busy_s, self._begun_s = 0, 0.0, time.monotonic()
         self._gone = deque[CardRecord]()  # of cloths that nobody has any more
-        self._kept = weakref.WeakKeyDictionary[Any, Any]()  # what is made of something for the card
+        self._kept = weakref.WeakKeyDictionary[Any, dict[str, Any]]()  # what is made of something for the card
         self._given = deque[tuple[int, int]]()  # sizes and addresses of slots that nobody has any more
         self._free: dict[int, list[int]] = {}  # slots by their size
         self._rows = self._out = (0, 0)  # addresses and sizes of what goes and comes
@@ -169,7 +173,7 @@ class Lane:
         if self.fault or np.dtype(dtype) != np.float32:
             return call_with_scratch(name, dtype, *given)
         job = _Job(name, given)
-        self.draw(job)
+        self.draw([job])
         if job.drawn is None:
             return call_with_scratch(name, dtype, *given)
         *_, after, out, told = given
@@ -179,17 +183,20 @@ class Lane:
             to[...] = found
         return 0
 
-    def draw(self, job: _Job | Asked) -> None:
-        """Waits until the frames of ``job`` are drawn, or the card has failed."""
-        job.since_s = time.monotonic()
-        with self._lock:
-            self._waiting.append(job)
-        self._queue.put(job)
-        if not job.done.wait(LOST_S):
-            self._fail(f"{self.card}: expected a frame within {LOST_S} s, got none")
-        with self._lock:
-            if job in self._waiting:
-                self._waiting.remove(job)
+    def draw(self, jobs: Sequence[_Job | Asked]) -> None:
+        """Waits until the frames of all ``jobs`` are drawn, or the card has failed."""
+        until_s = time.monotonic() + LOST_S
+        for job in jobs:
+            job.since_s = time.monotonic()
+            with self._lock:
+                self._waiting.append(job)
+            self._queue.put(job)
+        for job in jobs:
+            if not job.done.wait(until_s - time.monotonic()):
+                self._fail(f"{self.card}: expected a frame within {LOST_S} s, got none")
+            with self._lock:
+                if job in self._waiting:
+                    self._waiting.remove(job)
 
     def read(self, address: int, numbers: np.ndarray) -> bool:
         """Fills the array ``numbers`` with what is at ``address``, from any thread. Returns whether the card works."""
@@ -230,15 +237,16 @@ class Lane:
         assert self._pool is not None
         self._pool.card.write(address, numbers)
 
-    def kept(self, of: Any, make: Callable[[], Found]) -> Found:
-        """What ``make`` makes of something for the card, as long as that lives."""
-        if of not in self._kept:
-            self._kept[of] = make()
-        return self._kept[of]
+    def kept(self, of: Any, name: str, make: Callable[[], Found]) -> Found:
+        """What ``make`` makes of something for the card under a ``name``, as long as that lives."""
+        known = self._kept.setdefault(of, {})
+        if name not in known:
+            known[name] = make()
+        return known[name]
 
     def placed(self, of: Recorded) -> CardRecord:
         """The record of constants on the card, as long as they live."""
-        return self.kept(of, lambda: self.place(of, of.record))
+        return self.kept(of, "", lambda: self.place(of, of.record))
 
     def place(self, owner: Any, record: Record, *beside: CardRecord) -> CardRecord:
         """Places ``record`` on the card, beside what is there already, until ``owner`` is gone."""
@@ -260,10 +268,10 @@ class Lane:
             job.place(self, launch)
         self._rows, self._out = self._grown(self._rows, launch.row_bytes), self._grown(self._out, launch.out_bytes)
         launch.draw(self._rows[0], self._out[0], self._scratch, self._groups, THREADS)
-        found = launch.told(self._out[0])
+        told, back = launch.told(self._out[0])
         for job in jobs:
-            job.read(found)
-        self.frames, self.launches = self.frames + launch.count, self.launches + 1
+            job.read(told, back)
+        self.frames, self.launches = self.frames + len(launch), self.launches + 1
 
     def _grown(self, piece: tuple[int, int], size: int) -> tuple[int, int]:
         """A ``piece`` of memory of at least so many bytes."""

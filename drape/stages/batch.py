@@ -10,7 +10,7 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.errors import BodyError, MotionError, TooLarge
-from drape.network.card_frame import fetched
+from drape.network.card_memory import fetched
 from drape.stages.placing import Origin, Placed
 from drape.stages.plan import Plan
 

@@ -8,7 +8,7 @@ streams together, and keeps their memories.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -16,7 +16,8 @@ import numpy as np
 from drape.geometry.colliders import seen_from
 from drape.inference.packing import check_finite
 from drape.live.fold_step import FoldEffort
-from drape.network.card_frame import draw_by_card, fetched, lifts
+from drape.network.card_frame import draw_by_card
+from drape.network.card_memory import fetched, name_of
 from drape.network.frame import PARTS, Drawn, FrameGarment, Moment, Past, draw
 from drape.stages.batch import Batch, Layer, changed
 from drape.stages.encode import Encode, coordinate_bits
@@ -84,7 +85,10 @@ def drawn(
     if batch.count > 1 and not stages.network.on_one_thread and not by_card:
         return None
     if by_card is None or worn.effort.steps:  # the first steps after lifts alone are the processor's
-        pasts = [Past(*map(fetched, past)) if by_card is None or lifts(past) else past for past in pasts]
+        pasts = [
+            Past(*map(fetched, past)) if by_card is None or name_of(past.folded) == "lift_alone" else past
+            for past in pasts
+        ]
     if worn.folds is not None and any(worn.folds.begins(past.folded, worn.effort) for past in pasts):
         return None
     return _drawn(batch, stages, worn, pasts, by_card, took)
@@ -135,24 +139,27 @@ def _drawn(
     lane: Lane | None,
     took: Callable[[str, float], None],
 ) -> Iterator[Batch]:
-    spent_s, root = [0.0] * len(PARTS), np.empty((batch.count, 3))
-    vertices = np.empty((batch.count, worn.vertex_count, 3), np.float32)
-    steps = np.empty((batch.count, worn.vertex_count if worn.step_count else 0, 3), np.uint16)
-    frames: list[Drawn] = [None] * batch.count  # pyright: ignore[reportAssignmentType]
+    spent_s, root, frames = [0.0] * len(PARTS), np.empty((batch.count, 3)), list[Drawn]()
     moments = list(_moments(batch, stages, root))
-    for rows, inputs in _together(batch, many=lane is not None):
-        begun_s, before, at = time.perf_counter(), [pasts[i] for i in inputs], [moments[row] for row in rows]
-        if lane is None:
-            found = [draw(worn, before[0], at[0], vertices[rows[0]], steps[rows[0]])]
-        else:
-            found = draw_by_card(lane, worn, before, at, (vertices, steps), rows)
-        for row, i, made in zip(rows, inputs, found, strict=True):
-            check_finite(stages.network.engine, made is not None)
-            assert made is not None
-            frames[row], pasts[i] = made, made.past
-            tick_s = (time.perf_counter() - begun_s) / len(rows) / max(sum(made.ticks), 1)
-            spent_s = [spent + tick_s * ticks for spent, ticks in zip(spent_s, made.ticks, strict=True)]
+    begun_s = time.perf_counter()
+    if lane is not None:
+        found, vertices, steps = draw_by_card(lane, worn, pasts, moments)
+        frames = [_checked(stages, made) for made in found]
+        ends = np.cumsum([len(own) for own in moments])
+        pasts = [frames[end - 1].past for end in ends]
+        spent_s = _shares(frames, time.perf_counter() - begun_s)
         yield batch
+    else:
+        vertices = np.empty((batch.count, worn.vertex_count, 3), np.float32)
+        steps = np.empty((batch.count, worn.vertex_count if worn.step_count else 0, 3), np.uint16)
+        for i, own in enumerate(moments):
+            for at in own:
+                begun_s, row = time.perf_counter(), len(frames)
+                frames.append(_checked(stages, draw(worn, pasts[i], at, vertices[row], steps[row])))
+                pasts[i] = frames[row].past
+                took_s = _shares(frames[row:], time.perf_counter() - begun_s)
+                spent_s = [spent + own_s for spent, own_s in zip(spent_s, took_s, strict=True)]
+                yield batch
     boxes = [(made.low, made.step) for made in frames]
     quantised = tuple((own, *box) for own, box in zip(steps, boxes, strict=True)) if worn.step_count else ()
     batch = changed(batch, root=root, layers=(Layer(vertices),), steps=quantised)
@@ -162,26 +169,29 @@ def _drawn(
             took(name, spent)
 
 
-def _together(batch: Batch, *, many: bool) -> Iterator[tuple[list[int], list[int]]]:
-    """Yields the rows of frames that are drawn together and the number of the input of each: a frame, or with ``many``
-    one of each input that has so many."""
-    rows = [range(each.start, each.stop) for _, each in batch.rows()]
-    if many:
-        for number in range(max(map(len, rows), default=0)):
-            inputs = [i for i, own in enumerate(rows) if number < len(own)]
-            yield [rows[i][number] for i in inputs], inputs
-    else:
-        yield from (([row], [i]) for i, own in enumerate(rows) for row in own)
-
-
-def _moments(batch: Batch, stages: AtOnce, root: np.ndarray) -> Iterator[Moment]:
-    """Yields the moments of all frames, whose ``root`` (F, 3) [m] is written."""
+def _moments(batch: Batch, stages: AtOnce, root: np.ndarray) -> Iterator[list[Moment]]:
+    """Yields the moments of each input, of which the ``root`` (F, 3) [m] is written."""
     for one, rows in batch.rows():
         feed, place = stages.network.posed_by(one.betas)
         np.add(one.trans, place, out=root[rows])
-        for pose, time_s, here in zip(one.poses, one.times_s.tolist(), root[rows], strict=True):
-            turns = np.ascontiguousarray(pose, np.float64)
-            yield Moment(feed, turns, time_s, here, seen_from(batch.plan.colliders, here))
+        poses, times_s = np.ascontiguousarray(one.poses, np.float64), one.times_s.tolist()
+        yield [
+            Moment(feed, pose, time_s, here, seen_from(batch.plan.colliders, here))
+            for pose, time_s, here in zip(poses, times_s, root[rows], strict=True)
+        ]
+
+
+def _checked(stages: AtOnce, made: Drawn | None) -> Drawn:
+    check_finite(stages.network.engine, made is not None)
+    assert made is not None
+    return made
+
+
+def _shares(frames: Sequence[Drawn], took_s: float) -> list[float]:
+    """The time that each of ``PARTS`` had of what frames took."""
+    ticks = [sum(own) for own in zip(*(made.ticks for made in frames), strict=True)]
+    tick_s = took_s / max(sum(ticks), 1)
+    return [tick_s * own for own in ticks]
 
 
 def _told(batch: Batch, stages: AtOnce, worn: FrameGarment, frames: list[Drawn], pasts: list[Past]) -> Batch:

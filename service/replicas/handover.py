@@ -22,7 +22,7 @@ import numpy as np
 
 from drape import __version__
 from drape.errors import DrapeError, InputError, TooLarge
-from drape.network.card_frame import fetched
+from drape.network.card_memory import fetched
 from drape.wire.state_pieces import PIECE_BYTES, join_state, split_state
 from service.errors import Busy, Draining, TooSlow, Unauthorized, close_reason, rule_for
 from service.guard.limits import HELD_BYTES

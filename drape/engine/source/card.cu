@@ -14,6 +14,6 @@ __global__ void __launch_bounds__(MOST_THREADS) drape_folds(const FoldTask* task
 
 // There are as many groups as the card holds at once, and scratch for each.
 __global__ void __launch_bounds__(MOST_THREADS) drape_frames(const FrameTask* tasks, int64_t count) {
-  for (int64_t n = blockIdx.x; n < count; n += gridDim.x) draw(tasks[n], blockIdx.x);
+  for (int64_t n = blockIdx.x; n < count; n += gridDim.x) draw(tasks + n, blockIdx.x);
 }
 }

@@ -5,7 +5,7 @@
 
 #include "frame_steps.hpp"
 
-// A frame from its pose on. What it returns is that of drape_frame_f32, -1 where it was not begun.
+// A frame from its pose on. What it returns is that of drape_frame_f32, -1 also where it was not begun.
 struct FrameResult {
   FrameOutcome told;
   int64_t returned;
@@ -15,13 +15,19 @@ struct FrameTask {
   FrameResult* result;
   uint8_t* scratch;  // of the first group; those of others lie behind it
   int64_t scratch_size;
+  int64_t chain;  // this task and so many less one behind it, which go on from each other; 0 for those
 };
 
-INLINE void draw(const FrameTask& task, int64_t group_number) {
-  Scratch scratch = {task.scratch + task.scratch_size * group_number, task.scratch_size, 0, false};
+INLINE void draw(const FrameTask* tasks, int64_t group_number) {
   FrameOutcome told = {};
-  const int64_t returned = draw_frame(*task.call, told, scratch);  // every thread hands out the same pieces
-  if (is_first_thread()) *task.result = {told, returned};
+  int64_t returned = 1;
+  for (int64_t n = 0; n < tasks[0].chain; ++n) {
+    const FrameTask& task = tasks[n];
+    for (int64_t first : each(n ? 1 : 0)) task.call->folded_before[first].turn = told.folds.turn;
+    Scratch scratch = {task.scratch + task.scratch_size * group_number, task.scratch_size, 0, false};
+    returned = returned == 1 ? draw_frame(*task.call, told, scratch) : -1;  // every thread hands out the same pieces
+    if (is_first_thread()) *task.result = {told, returned};
+  }
 }
 
 // Folds alone.
