@@ -30,7 +30,8 @@ ARCHITECTURES = (80, 90, 100)  # A100, H100 and H200, B200
 DRIVER = "nvcuda.dll" if os.name == "nt" else "libcuda.so.1"
 LEAST_CUDA, LEAST_MAJOR, LEAST_BYTES = 13000, 8, 1 << 30  # of the driver, of the card, and of its free memory
 CURE = "Mend that, or go on: frames are computed by the processor."
-_MAJOR, _ATTRIBUTES = 75, 76  # CUDA's numbers of what a card is asked for
+_MAJOR, _MINOR, _CORES = 75, 76, 16  # CUDA's numbers of what a card is asked for
+GROUPS_A_CORE = 2  # of threads that a core holds at once, with the registers that the kernels take
 
 
 def kernels() -> Path | None:
@@ -42,7 +43,8 @@ def kernels() -> Path | None:
 
 
 class Card:
-    """One NVIDIA card of this machine, ``number`` among them. A thread calls ``enter`` before anything else.
+    """One NVIDIA card of this machine, ``number`` among them, which holds so many ``groups`` of threads at once.
+    A thread calls ``enter`` before anything else.
 
     Raises ``Unavailable`` where there is no driver or an old one, no card or an old one, too little free memory, or
     kernels of another engine; ``OSError`` where the driver tells a fault.
@@ -68,18 +70,19 @@ class Card:
         self.name = name.value.decode()
         major = self._number("cuDeviceGetAttribute", _MAJOR, device)
         if major < LEAST_MAJOR:
-            minor = self._number("cuDeviceGetAttribute", _ATTRIBUTES, device)
+            minor = self._number("cuDeviceGetAttribute", _MINOR, device)
             raise _missing(f"a card of compute capability {LEAST_MAJOR}.0 or later", f"{self.name}, {major}.{minor}")
+        self.groups = GROUPS_A_CORE * self._number("cuDeviceGetAttribute", _CORES, device)
         self._context = ctypes.c_void_p()
         self._do("cuDevicePrimaryCtxRetain", ctypes.byref(self._context), device)
         self.enter()
         if self.free_bytes < LEAST_BYTES:
             raise _missing(f"{LEAST_BYTES >> 20} MB free on {self.name}", f"{self.free_bytes >> 20} MB")
-        self._folds = self._loaded(path)
+        self._folds, self._frames = self._loaded(path)
 
-    def _loaded(self, path: Path) -> ctypes.c_void_p:
-        """The function of the kernels in ``path``."""
-        module, found = ctypes.c_void_p(), ctypes.c_void_p()
+    def _loaded(self, path: Path) -> list[ctypes.c_void_p]:
+        """The functions of the kernels in ``path``."""
+        module, found = ctypes.c_void_p(), [ctypes.c_void_p(), ctypes.c_void_p()]
         image = path.read_bytes()
         try:
             self._do("cuModuleLoadData", ctypes.byref(module), image)
@@ -90,7 +93,8 @@ class Card:
         self.read(address.value, own)
         if int(own[0]) != HASH:
             raise _missing(f"kernels of this engine, {HASH:016x}", f"{path} of {int(own[0]):016x}")
-        self._do("cuModuleGetFunction", ctypes.byref(found), module, b"drape_folds")
+        for function, name in zip(found, (b"drape_folds", b"drape_frames"), strict=True):
+            self._do("cuModuleGetFunction", ctypes.byref(function), module, name)
         return found
 
     def enter(self) -> None:
@@ -126,10 +130,16 @@ class Card:
 
     def folds(self, tasks: int, count: int, threads: int) -> None:
         """Begins a launch: a group of ``threads`` for each of the ``count`` tasks at the address ``tasks``."""
-        at = ctypes.c_uint64(tasks)
-        given = (ctypes.c_void_p * 1)(ctypes.addressof(at))
-        sizes = (ctypes.c_uint(one) for one in (count, 1, 1, threads, 1, 1, 0))
-        self._do("cuLaunchKernel", self._folds, *sizes, None, given, None)
+        self._launch(self._folds, count, threads, ctypes.c_uint64(tasks))
+
+    def frames(self, tasks: int, count: int, groups: int, threads: int) -> None:
+        """Begins a launch of so many ``groups`` of ``threads``, which share the ``count`` frames of ``tasks``."""
+        self._launch(self._frames, groups, threads, ctypes.c_uint64(tasks), ctypes.c_int64(count))
+
+    def _launch(self, function: ctypes.c_void_p, groups: int, threads: int, *given: Any) -> None:
+        each = (ctypes.c_void_p * len(given))(*map(ctypes.addressof, given))
+        sizes = (ctypes.c_uint(one) for one in (groups, 1, 1, threads, 1, 1, 0))
+        self._do("cuLaunchKernel", function, *sizes, None, each, None)
 
     def timed(self, tasks: int, count: int, threads: int, rounds: int) -> float:
         """Launches the tasks ``rounds`` times; the time that it took [ms]."""

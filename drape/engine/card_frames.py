@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import threading
 from bisect import bisect
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
 
 from drape.engine.packer import Record, Recorded, address_of
 
-STEPS = {"fold": 0, "fold_two_levels": 1, "lift_alone": 2, "swing": 3, "quantise": 4}
+STEPS = {"fold": 0, "fold_two_levels": 1, "lift_alone": 2}
 OUTCOME = 7  # numbers of 64 bits that a frame tells
 SCRATCH_BYTES = 16 << 20  # of a frame, most of it for cloth that crosses itself everywhere
 ALIGNED = 256  # pieces of memory begin at multiples of it
@@ -38,6 +38,10 @@ class Memory(Protocol):
 
     def folds(self, tasks: int, count: int, threads: int) -> None:
         """Begins a launch of the ``count`` tasks at the address ``tasks``."""
+        ...
+
+    def frames(self, tasks: int, count: int, groups: int, threads: int) -> None:
+        """Begins a launch of so many ``groups`` of threads, which share the frames of ``tasks``."""
         ...
 
 
@@ -78,38 +82,58 @@ class Pool:
             self._free.insert(place, (begin, size))
 
 
-class Flat:
-    """A ``record`` laid out in one piece of memory of ``size`` bytes: its words first, and then its arrays."""
+class Ranges:
+    """Memory of this machine that has other addresses on a card: ``kept`` are an address here, how many bytes from it
+    on, the number of the piece in which they lie there, and where in it."""
 
-    def __init__(self, record: Record | Recorded) -> None:
+    def __init__(self, kept: Iterable[tuple[int, int, int, int]]) -> None:
+        self.begin, self.size, self.piece, self.offset = np.array(sorted(kept), np.uint64).reshape(-1, 4).T
+
+    def places(self, words: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Which of ``words`` are addresses within, and the piece and the offset of each."""
+        # An array may be a row of another one, so a word is an address within the last that begins before it.
+        before = np.searchsorted(self.begin, words, side="right") - 1
+        place = np.flatnonzero(before >= 0)
+        before = before[place]
+        inside = words[place] - self.begin[before]
+        own = inside < self.size[before]
+        return place[own], self.piece[before[own]], (self.offset[before] + inside)[own]
+
+
+class Flat:
+    """A ``record``, with the records that it points to, laid out in one piece of memory of ``size`` bytes: its words
+    first, and then its arrays. What ``beside`` holds, which lies on the card already, is not in it."""
+
+    def __init__(self, record: Record | Recorded, beside: Sequence[CardRecord] = ()) -> None:
         self.record = record.record if isinstance(record, Recorded) else record
-        self.words = np.array(self.record._words, np.uint64)
+        self.words = self.record.words.copy()
+        there = {address for one in beside for address in one.flat._at}
         self._at, end = dict[int, tuple[int, np.ndarray]](), _rounded(self.words.nbytes)
-        for array in self.record.arrays:
-            if array.size and address_of(array) not in self._at:
-                self._at[address_of(array)] = end, array
+        for array in _arrays(self.record):
+            address = address_of(array)
+            if array.size and address not in self._at and address not in there:
+                self._at[address] = end, array
                 end += _rounded(array.nbytes + BEHIND)
         self.size = end
-        kept = sorted((address, offset, array.nbytes) for address, (offset, array) in self._at.items())
-        self._begins, self._offsets, self._sizes = np.array(kept, np.uint64).reshape(-1, 3).T
+        self._bases = [0, *(one.address for one in beside)]
+        self.ranges = Ranges(
+            (address, array.nbytes, number, offset)
+            for number, flat in enumerate((self, *(one.flat for one in beside)))
+            for address, (offset, array) in flat._at.items()
+        )
 
     def at(self, address: int) -> np.ndarray:
         """The piece (``size``,) uint8 as it is at the ``address`` of a card."""
-        piece, words = np.zeros(self.size, np.uint8), self.relocated(address, self.words.copy())
-        piece[: words.nbytes] = words.view(np.uint8)
-        for offset, array in self._at.values():
-            piece[offset : offset + array.nbytes] = array.reshape(-1).view(np.uint8)
+        piece = np.zeros(self.size, np.uint8)
+        for offset, array in [(0, self.words), *self._at.values()]:
+            numbers = self.relocated(address, array.reshape(-1).copy()) if array.dtype == np.uint64 else array
+            piece[offset : offset + array.nbytes] = numbers.reshape(-1).view(np.uint8)
         return piece
 
     def relocated(self, address: int, words: np.ndarray) -> np.ndarray:
         """``words`` of the record, changed to point into the piece at ``address``."""
-        # An array may be a row of another one, so a word is an address within the last that begins before it.
-        before = np.searchsorted(self._begins, words, side="right") - 1
-        place = np.flatnonzero(before >= 0)
-        before = before[place]
-        inside = words[place] - self._begins[before]
-        own = inside < self._sizes[before]
-        words[place[own]] = np.uint64(address) + (self._offsets[before] + inside)[own]
+        place, piece, offset = self.ranges.places(words)
+        words[place] = np.array([address, *self._bases[1:]], np.uint64)[piece.astype(np.int64)] + offset
         return words
 
     def arrays(self, piece: np.ndarray) -> list[np.ndarray]:
@@ -122,10 +146,13 @@ class Flat:
 
 
 class CardRecord:
-    """A ``record`` in a piece of ``pool``; ``address`` is where it is. ``blank``: its arrays are only written there."""
+    """A ``record`` in a piece of ``pool``; ``address`` is where it is. ``blank``: its arrays are only written there.
+    What it shares with records ``beside`` it is theirs."""
 
-    def __init__(self, pool: Pool, record: Record | Recorded, *, blank: bool = False) -> None:
-        self.pool, self.flat = pool, Flat(record)
+    def __init__(
+        self, pool: Pool, record: Record | Recorded, *, blank: bool = False, beside: Sequence[CardRecord] = ()
+    ) -> None:
+        self.pool, self.flat = pool, Flat(record, beside)
         self.address = pool.take(self.flat.size)
         if blank:
             self.end(self.flat.record)
@@ -140,8 +167,8 @@ class CardRecord:
 
     def end(self, record: Record) -> None:
         """Sets the numbers behind the arrays to those of ``record``, which has the same arrays."""
-        assert len(record._words) == len(self.flat.words)
-        words = self.flat.relocated(self.address, np.array(record._words, np.uint64))
+        assert len(record.words) == len(self.flat.words)
+        words = self.flat.relocated(self.address, record.words.copy())
         self.pool.card.write(self.address, words)
 
     def give(self) -> None:
@@ -160,31 +187,21 @@ class Frames:
     def __len__(self) -> int:
         return len(self._results)
 
-    def add(self, name: str, vertices: np.ndarray, *records: CardRecord | None, number: float = 0.0) -> None:
+    def add(self, name: str, vertices: np.ndarray, *records: CardRecord) -> None:
         """Adds a frame that the engine's function ``name`` computes of ``vertices`` [m] (V, 3) float32.
 
         ``records`` are those of its past, its surroundings, its cloth, its effort, and what it leaves to the next
-        frame. Swing and quantising have none of effort, but a ``number``: the share of swing, or the last step. Raises
-        ``MemoryError`` where the pool has no room for it.
+        frame. Raises ``MemoryError`` where the pool has no room for it.
         """
         size = _rounded(vertices.nbytes)
-        folded = self._take(2 * size + 8 * OUTCOME + 56 + BEHIND)  # folded vertices, outcome, scratch, sizes; vertices
+        folded = self._take(2 * size + 8 * OUTCOME + 40 + BEHIND)  # folded vertices, outcome, scratch; vertices
         outcome, scratch = folded + size, folded + size + 8 * OUTCOME
-        given = scratch + 56
-        piece = np.empty(56 + vertices.nbytes, np.uint8)
+        given = scratch + 40
+        piece = np.empty(40 + vertices.nbytes, np.uint8)
         piece[:32] = np.array([self._take(SCRATCH_BYTES), SCRATCH_BYTES, 0, 0], np.uint64).view(np.uint8)
-        piece[32:40] = np.array([len(vertices)]).view(np.uint8)
-        piece[40:48] = np.array([number]).view(np.uint8)
-        piece[56:] = np.ascontiguousarray(vertices).reshape(-1).view(np.uint8)
+        piece[40:] = np.ascontiguousarray(vertices).reshape(-1).view(np.uint8)
         self._pool.card.write(scratch, piece)
-        self._words += [
-            STEPS[name],
-            given,
-            *(one.address if one else scratch + 32 for one in records),
-            folded,
-            outcome,
-            scratch,
-        ]
+        self._words += [STEPS[name], given, *(one.address for one in records), folded, outcome, scratch]
         self._results.append(folded)
         self._shapes.append(vertices.shape)
 
@@ -231,6 +248,14 @@ def idle_bytes(memories: Sequence[Record], streams: int = 1) -> int:
 def piece_bytes(size: int) -> int:
     """Returns the bytes of a pool that a piece of ``size`` bytes takes."""
     return -(-max(size, 1) // ALIGNED) * ALIGNED
+
+
+def _arrays(record: Record) -> Iterator[np.ndarray]:
+    """The arrays of ``record`` and those of its parts, whose words, uint64, are among them."""
+    yield from record.arrays
+    for part in record.parts:
+        yield part.words
+        yield from _arrays(part)
 
 
 def _rounded(size: int) -> int:

@@ -26,12 +26,12 @@ _WORD, _WORDS = struct.Struct("<Q"), {"number": struct.Struct("<d"), "count": st
 
 
 class Record:
-    """The words of a record, and the ``arrays`` that they point to.
+    """The words of a record, and the ``arrays`` and made records, its ``parts``, that they point to.
 
     ``address`` [bytes] is where the words are.
     """
 
-    __slots__ = ("_words", "address", "arrays")
+    __slots__ = ("_words", "address", "arrays", "parts")
 
     def __init__(self, name: str, value: Any, dtype: Any = None) -> None:
         """The record ``name`` of ``value``, which has its fields as attributes. Numbers in arrays are of ``dtype``, or
@@ -40,6 +40,7 @@ class Record:
         Raises ``TypeError`` where an array has another type or is not contiguous: that is our own mistake.
         """
         self.arrays: list[np.ndarray] = []
+        self.parts: list[Record] = []
         dtype = np.dtype(dtype or _numbers_type(name, value) or np.float32)
         self._set(self._filled(name, value, dtype))
 
@@ -54,16 +55,21 @@ class Record:
             first, size = address_of(block), block[0].size
             step = size * block.itemsize
             words += [word for i in range(len(block)) for word in ((first + i * step) if size else 0, size)]
-        record.arrays = list(blocks)
+        record.arrays, record.parts = list(blocks), []
         record._set(words + _number_words(numbers))
         return record
 
     def ending(self, *numbers: float) -> Record:
         """Returns the same record with ``numbers`` in its last fields."""
         made = object.__new__(Record)
-        made.arrays = self.arrays
+        made.arrays, made.parts = self.arrays, self.parts
         made._set([*self._words[: -len(numbers)], *_number_words(numbers)])
         return made
+
+    @property
+    def words(self) -> np.ndarray:
+        """The words, uint64, where they are."""
+        return np.frombuffer(self._words, np.uint64)
 
     def _set(self, words: list[int]) -> None:
         self._words = array("Q", words)
@@ -85,6 +91,7 @@ class Record:
                 words += _WORD.unpack(_WORDS[kind].pack(own))
             elif own is None or isinstance(own, Record | Recorded):
                 made = own.record if isinstance(own, Recorded) else own  # whose maker keeps it
+                self.parts += [made] if made else []
                 words += (made.address, 1) if made else (0, 0)
             else:
                 parts = np.array([word for one in own for word in self._filled(kind[:-2], one, dtype)], np.uint64)

@@ -11,10 +11,10 @@ import threading
 import time
 import weakref
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -22,7 +22,8 @@ from drape.engine import card_frames
 from drape.engine.calls import call_with_scratch
 from drape.engine.card import Card
 from drape.engine.card_frames import CardRecord, Frames, Pool, idle_bytes
-from drape.engine.packer import Record
+from drape.engine.card_jobs import FRAME_SCRATCH_BYTES, FrameLaunch
+from drape.engine.packer import Record, Recorded
 from drape.errors import DrapeError
 from drape.live.card import for_card
 
@@ -57,6 +58,43 @@ class LaneReport:
         return self.frames / max(self.launches, 1)
 
 
+class Slot:
+    """A piece of ``size`` bytes of a lane's card, at an ``address``, as long as somebody has it."""
+
+    def __init__(self, lane: Lane, size: int) -> None:
+        self._lane, self.size, self.address = lane, size, lane.take(size)
+
+    def is_of(self, lane: Lane) -> bool:
+        """Whether it is on the card of ``lane``."""
+        return self._lane is lane
+
+    def read(self) -> np.ndarray | None:
+        """Returns what is in it (size,) uint8; None if the card is gone."""
+        piece = np.empty(self.size, np.uint8)
+        return piece if self._lane.read(self.address, piece) else None
+
+    def __del__(self) -> None:
+        if hasattr(self, "address"):
+            self._lane.give(self.size, self.address)
+
+
+class Asked(Protocol):
+    """Frames from their poses on that a lane is asked for; ``done`` once they are drawn or the card has failed."""
+
+    done: threading.Event
+    since_s: float
+
+    def __len__(self) -> int: ...
+
+    def place(self, lane: Lane, launch: FrameLaunch) -> None:
+        """Adds the frames to ``launch``."""
+        ...
+
+    def read(self, told: np.ndarray, back: np.ndarray) -> None:
+        """Takes the frames from what those of the launch have ``told`` (F, TOLD), and from what came ``back``."""
+        ...
+
+
 @dataclass(eq=False)
 class _Job:
     """A frame that waits: what the engine would be given, and ``drawn`` once the card has drawn it."""
@@ -67,6 +105,9 @@ class _Job:
     done: threading.Event = field(default_factory=threading.Event)
     drawn: tuple[np.ndarray, np.ndarray, list[np.ndarray]] | None = None
 
+    def __len__(self) -> int:
+        return 1
+
 
 class Lane:
     """The thread that gives frames to a card, which ``open_card`` opens. Its pool takes ``share`` of the free memory.
@@ -75,15 +116,21 @@ class Lane:
     """
 
     def __init__(self, open_card: Callable[[], Card], *, share: float = 0.8) -> None:
-        self._open, self._share, self._queue = open_card, share, queue.SimpleQueue[_Job | None]()
+        self._open, self._share, self._queue = open_card, share, queue.SimpleQueue[_Job | Asked | None]()
         self._ready, self._lock = threading.Event(), threading.Lock()
         self._cloths = weakref.WeakKeyDictionary[Any, CardRecord]()
         self._left = OrderedDict[int, tuple[list[np.ndarray], CardRecord]]()  # by what the host holds of a memory
         self._left_bytes, self._busy_s, self._begun_s = 0, 0.0, time.monotonic()
         self._gone = deque[CardRecord]()  # of cloths that nobody has any more
-        self._waiting: list[_Job] = []
+        self._kept = weakref.WeakKeyDictionary[Any, dict[str, Any]]()  # what is made of something for the card
+        self._given = deque[tuple[int, int]]()  # sizes and addresses of slots that nobody has any more
+        self._free: dict[int, list[int]] = {}  # slots by their size
+        self._rows = self._out = (0, 0)  # addresses and sizes of what goes and comes
+        self._scratch = 0
+        self._waiting: list[_Job | Asked] = []
         self.card, self.fault, self.frames, self.launches = "", "", 0, 0
         self._pool: Pool | None = None
+        self._card: Card | None = None
         self._most = 0  # frames of a launch
         self._thread = threading.Thread(target=self._work, name="card", daemon=True)
         self._thread.start()
@@ -126,14 +173,7 @@ class Lane:
         if self.fault or np.dtype(dtype) != np.float32:
             return call_with_scratch(name, dtype, *given)
         job = _Job(name, given)
-        with self._lock:
-            self._waiting.append(job)
-        self._queue.put(job)
-        if not job.done.wait(LOST_S):
-            self._fail(f"{self.card}: expected a frame within {LOST_S} s, got none")
-        with self._lock:
-            if job in self._waiting:
-                self._waiting.remove(job)
+        self.draw([job])
         if job.drawn is None:
             return call_with_scratch(name, dtype, *given)
         *_, after, out, told = given
@@ -143,11 +183,108 @@ class Lane:
             to[...] = found
         return 0
 
+    def draw(self, jobs: Sequence[_Job | Asked]) -> None:
+        """Waits until the frames of all ``jobs`` are drawn, or the card has failed."""
+        until_s = time.monotonic() + LOST_S
+        for job in jobs:
+            job.since_s = time.monotonic()
+            with self._lock:
+                self._waiting.append(job)
+            self._queue.put(job)
+        for job in jobs:
+            if not job.done.wait(until_s - time.monotonic()):
+                self._fail(f"{self.card}: expected a frame within {LOST_S} s, got none")
+            with self._lock:
+                if job in self._waiting:
+                    self._waiting.remove(job)
+
+    def read(self, address: int, numbers: np.ndarray) -> bool:
+        """Fills the array ``numbers`` with what is at ``address``, from any thread. Returns whether the card works."""
+        if self._card is None or self.fault:
+            return False
+        try:
+            self._card.enter()
+            self._card.read(address, numbers)
+        except OSError as error:
+            self._fail(f"{self.card}: {error}")
+        return self.works
+
+    def give(self, size: int, address: int) -> None:
+        """Takes a slot of so many bytes back, from any thread."""
+        self._given.append((size, address))
+
     # --- the card's thread ---
+
+    def take(self, size: int) -> int:
+        """Hands out a slot of so many bytes: its address. Raises ``MemoryError`` where there is no room."""
+        assert self._pool is not None
+        while self._given:
+            given, address = self._given.popleft()
+            self._free.setdefault(given, []).append(address)
+        free = self._free.get(size)
+        if free:
+            return free.pop()
+        try:
+            return self._pool.take(size)
+        except MemoryError:
+            for address in (one for all_ in self._free.values() for one in all_):
+                self._pool.give(address)
+            self._free.clear()
+            return self._pool.take(size)
+
+    def write(self, address: int, numbers: np.ndarray) -> None:
+        """Writes the array ``numbers`` to ``address``."""
+        assert self._pool is not None
+        self._pool.card.write(address, numbers)
+
+    def kept(self, of: Any, name: str, make: Callable[[], Found]) -> Found:
+        """What ``make`` makes of something for the card under a ``name``, as long as that lives."""
+        known = self._kept.setdefault(of, {})
+        if name not in known:
+            known[name] = make()
+        return known[name]
+
+    def placed(self, of: Recorded) -> CardRecord:
+        """The record of constants on the card, as long as they live."""
+        return self.kept(of, "", lambda: self.place(of, of.record))
+
+    def place(self, owner: Any, record: Record, *beside: CardRecord) -> CardRecord:
+        """Places ``record`` on the card, beside what is there already, until ``owner`` is gone."""
+        assert self._pool is not None
+        made = CardRecord(self._pool, record, beside=beside)
+        weakref.finalize(owner, self._gone.append, made)
+        return made
+
+    def _launch(self, jobs: list[Asked]) -> None:
+        """Draws the frames of ``jobs``, from their poses on."""
+        assert self._pool is not None and self._card is not None
+        while self._gone:
+            self._gone.popleft().give()
+        if not self._scratch:
+            self._groups = max(min(self._card.groups, self._pool.size // 4 // FRAME_SCRATCH_BYTES), 1)
+            self._scratch = self._pool.take(self._groups * FRAME_SCRATCH_BYTES)
+        launch = FrameLaunch(self._pool)
+        for job in jobs:
+            job.place(self, launch)
+        self._rows, self._out = self._grown(self._rows, launch.row_bytes), self._grown(self._out, launch.out_bytes)
+        launch.draw(self._rows[0], self._out[0], self._scratch, self._groups, THREADS)
+        told, back = launch.told(self._out[0])
+        for job in jobs:
+            job.read(told, back)
+        self.frames, self.launches = self.frames + len(launch), self.launches + 1
+
+    def _grown(self, piece: tuple[int, int], size: int) -> tuple[int, int]:
+        """A ``piece`` of memory of at least so many bytes."""
+        assert self._pool is not None
+        if piece[1] >= size:
+            return piece
+        if piece[1]:
+            self._pool.give(piece[0])
+        return self._pool.take(2 * size), 2 * size
 
     def _work(self) -> None:
         try:
-            card = self._open()
+            card = self._card = self._open()
             self._pool = Pool(card, int(self._share * card.free_bytes))
             self._most = min(MOST, self._pool.size // 2 // card_frames.SCRATCH_BYTES)
             self.card = card.name
@@ -157,7 +294,10 @@ class Lane:
         while not self.fault and (jobs := self._gathered()):
             begun_s = time.monotonic()
             try:
-                self._draw(jobs)
+                if folds := [job for job in jobs if isinstance(job, _Job)]:
+                    self._draw(folds)
+                if asked := [job for job in jobs if not isinstance(job, _Job)]:
+                    self._launch(asked)
             except OSError as error:
                 self._fail(f"{self.card}: {error}")
             except MemoryError:  # these frames are the processor's
@@ -166,11 +306,11 @@ class Lane:
             for job in jobs:
                 job.done.set()
 
-    def _gathered(self) -> list[_Job]:
+    def _gathered(self) -> list[_Job | Asked]:
         """The frames of the next launch; none at the end."""
-        jobs: list[_Job] = []
+        jobs: list[_Job | Asked] = []
         until_s = time.monotonic() + GATHERED_S
-        while len(jobs) < max(self._most, 1):
+        while sum(map(len, jobs)) < max(self._most, 1):
             try:
                 left_s = until_s - time.monotonic()
                 job = self._queue.get() if not jobs else self._queue.get(timeout=max(left_s, 0.0))
@@ -200,7 +340,7 @@ class Lane:
                 for one in (around, effort):
                     pieces.append(CardRecord(self._pool, one))
                 after.append(CardRecord(self._pool, left, blank=True))
-                frames.add(job.name, vertices, *pieces[-3:-1], self._cloth(cloth), pieces[-1], after[-1])
+                frames.add(job.name, vertices, *pieces[-3:-1], self.cloth(cloth), pieces[-1], after[-1])
             frames.draw(THREADS)
             for job, (folded, told) in zip(jobs, frames.drawn(), strict=True):
                 job.drawn, left = (folded, told, after[0].arrays()), job.given[5].arrays
@@ -212,7 +352,8 @@ class Lane:
                 piece.give()
             self._drop(int(KEPT_SHARE * self._pool.size))
 
-    def _cloth(self, cloth: Any) -> CardRecord:
+    def cloth(self, cloth: Any) -> CardRecord:
+        """The constants of folds on the card, as long as they live."""
         assert self._pool is not None
         if cloth not in self._cloths:
             self._cloths[cloth] = CardRecord(self._pool, for_card(cloth))

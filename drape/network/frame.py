@@ -6,7 +6,7 @@ The engine calls its own functions one after the other (``source/frame.cpp``). S
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -73,25 +73,38 @@ class FrameGarment:
         """The effort of a frame whose pose is like training."""
         return self.efforts[0]
 
+    @property
+    def identity(self) -> tuple[Any, ...]:
+        """What two such constants have in common that draw the same."""
+        given = (getattr(self, field.name) for field in fields(self))
+        return tuple(each if isinstance(each, int | float | tuple) else id(each) for each in given)
+
     @cached_property
     def record(self) -> Record:
         """The record that the engine reads of it."""
-        folds, (effort, novel_effort) = self.folds, map(recorded, self.efforts)
-        given = FrameParts(
-            self.weights,
-            self.kept,
-            self.patches,
-            self.tiles,
-            self.swing,
-            folds.constants if isinstance(folds, OneLevel) else None,
-            folds.levels if isinstance(folds, TwoLevel) else None,
-            effort,
-            novel_effort,
-            self.passes,
-            self.share,
-            self.step_count,
-        )
-        return Record("FrameParts", given, _FLOAT)
+        folds = self.folds
+        return frame_parts(self, folds.constants if isinstance(folds, OneLevel) else folds.levels if folds else None)
+
+
+def frame_parts(worn: FrameGarment, cloth: Any) -> Record:
+    """Returns the record that the engine reads of ``worn``, with the constants of folds ``cloth``, or their record."""
+    one_level = isinstance(worn.folds, OneLevel)
+    effort, novel_effort = map(recorded, worn.efforts)
+    given = FrameParts(
+        worn.weights,
+        worn.kept,
+        worn.patches,
+        worn.tiles,
+        worn.swing,
+        cloth if one_level else None,
+        None if one_level else cloth,
+        effort,
+        novel_effort,
+        worn.passes,
+        worn.share,
+        worn.step_count,
+    )
+    return Record("FrameParts", given, _FLOAT)
 
 
 class Past(NamedTuple):

@@ -1,20 +1,23 @@
 """Frames that one call of the engine makes of poses: novelty, network, swing, folds, and coordinates of the message.
 
 These stages make the same bits one after the other. What they hand on to each other as objects of Python takes a fifth
-of a T-shirt's frame, most of which is saved here. Their memories are the same too.
+of a T-shirt's frame, most of which is saved here. Their memories are the same too. A card draws such frames of many
+streams together, and keeps their memories.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from drape.geometry.colliders import seen_from
 from drape.inference.packing import check_finite
 from drape.live.fold_step import FoldEffort
+from drape.network.card_frame import draw_by_card
+from drape.network.card_memory import fetched, name_of
 from drape.network.frame import PARTS, Drawn, FrameGarment, Moment, Past, draw
 from drape.stages.batch import Batch, Layer, changed
 from drape.stages.encode import Encode, coordinate_bits
@@ -24,6 +27,9 @@ from drape.stages.plan import SKIN, Plan
 from drape.stages.stage import Stage
 from drape.stages.swing import Swing
 from drape.wire.messages import BYTE_COUNT, STEP_COUNT
+
+if TYPE_CHECKING:
+    from drape.live.card_lane import Lane
 
 NO_EFFORT = FoldEffort(0)
 
@@ -57,8 +63,6 @@ def _at_once(plan: Plan) -> AtOnce | None:
     novelty, network, swing, folds = (found.get(kind) for kind in (Novelty, Network, Swing, Folds))
     if not isinstance(network, Network) or not network.in_engine:
         return None
-    if isinstance(folds, Folds) and folds.lane is not None and folds.lane.works:
-        return None  # a card draws folds of many streams together
     made = AtOnce(novelty, network, swing, folds)  # pyright: ignore[reportArgumentType]
     first, rest = plan.stages[: len(made.stages)], plan.stages[len(made.stages) :]
     if len(plan.draped) > 1 or list(first) != made.stages:
@@ -74,14 +78,20 @@ def drawn(
     Returns None where the stages must run by themselves: cloth that was lifted alone begins to fold, or the network
     shares the frames out between threads. ``took`` is called with the name of each stage and its share of the time [s].
     """
-    plan = batch.plan
+    plan, lane = batch.plan, stages.network.lane
     worn, (key,) = _worn(plan, stages), plan.draped_keys
     pasts = [Past(one.memories.get(("swing", key)), one.memories.get(("folds", key))) for one in batch.inputs]
-    if batch.count > 1 and not stages.network.on_one_thread:
+    by_card = lane if lane is not None and lane.works and worn.folds is not None else None
+    if batch.count > 1 and not stages.network.on_one_thread and not by_card:
         return None
+    if by_card is None or worn.effort.steps:  # the first steps after lifts alone are the processor's
+        pasts = [
+            Past(*map(fetched, past)) if by_card is None or name_of(past.folded) == "lift_alone" else past
+            for past in pasts
+        ]
     if worn.folds is not None and any(worn.folds.begins(past.folded, worn.effort) for past in pasts):
         return None
-    return _drawn(batch, stages, worn, pasts, took)
+    return _drawn(batch, stages, worn, pasts, by_card, took)
 
 
 def _worn(plan: Plan, stages: AtOnce) -> FrameGarment:
@@ -95,7 +105,7 @@ def _worn(plan: Plan, stages: AtOnce) -> FrameGarment:
         return known
     compiled = stages.network.engine.compiled
     assert compiled is not None
-    made = plan.kept["worn"] = FrameGarment(
+    made = FrameGarment(
         weights=compiled.weights,
         passes=compiled.corrections if (passes := options.advanced.passes) is None else passes,
         patches=rows.patches,
@@ -108,7 +118,8 @@ def _worn(plan: Plan, stages: AtOnce) -> FrameGarment:
         vertex_count=rows.vertex_count,
         step_count=_step_count(plan, stages),
     )
-    return made
+    plan.kept["worn"] = stages.network.drawn_alike.setdefault(made.identity, made)
+    return plan.kept["worn"]
 
 
 def _step_count(plan: Plan, stages: AtOnce) -> int:
@@ -121,27 +132,34 @@ def _step_count(plan: Plan, stages: AtOnce) -> int:
 
 
 def _drawn(
-    batch: Batch, stages: AtOnce, worn: FrameGarment, pasts: list[Past], took: Callable[[str, float], None]
+    batch: Batch,
+    stages: AtOnce,
+    worn: FrameGarment,
+    pasts: list[Past],
+    lane: Lane | None,
+    took: Callable[[str, float], None],
 ) -> Iterator[Batch]:
-    colliders, spent_s = batch.plan.colliders, [0.0] * len(PARTS)
-    root, vertices = np.empty((batch.count, 3)), np.empty((batch.count, worn.vertex_count, 3), np.float32)
-    steps = np.empty((batch.count, worn.vertex_count if worn.step_count else 0, 3), np.uint16)
-    frames: list[Drawn] = []
-    for i, (one, rows) in enumerate(batch.rows()):
-        feed, place = stages.network.posed_by(one.betas)
-        np.add(one.trans, place, out=root[rows])
-        for number, row in enumerate(range(rows.start, rows.stop)):
-            begun_s = time.perf_counter()
-            pose, here = np.ascontiguousarray(one.poses[number], np.float64), root[row]
-            at = Moment(feed, pose, float(one.times_s[number]), here, seen_from(colliders, here))
-            made = draw(worn, pasts[i], at, vertices[row], steps[row])
-            check_finite(stages.network.engine, made is not None)
-            assert made is not None
-            frames.append(made)
-            pasts[i] = made.past
-            tick_s = (time.perf_counter() - begun_s) / max(sum(made.ticks), 1)
-            spent_s = [spent + tick_s * ticks for spent, ticks in zip(spent_s, made.ticks, strict=True)]
-            yield batch
+    spent_s, root, frames = [0.0] * len(PARTS), np.empty((batch.count, 3)), list[Drawn]()
+    moments = list(_moments(batch, stages, root))
+    begun_s = time.perf_counter()
+    if lane is not None:
+        found, vertices, steps = draw_by_card(lane, worn, pasts, moments)
+        frames = [_checked(stages, made) for made in found]
+        ends = np.cumsum([len(own) for own in moments])
+        pasts = [frames[end - 1].past for end in ends]
+        spent_s = _shares(frames, time.perf_counter() - begun_s)
+        yield batch
+    else:
+        vertices = np.empty((batch.count, worn.vertex_count, 3), np.float32)
+        steps = np.empty((batch.count, worn.vertex_count if worn.step_count else 0, 3), np.uint16)
+        for i, own in enumerate(moments):
+            for at in own:
+                begun_s, row = time.perf_counter(), len(frames)
+                frames.append(_checked(stages, draw(worn, pasts[i], at, vertices[row], steps[row])))
+                pasts[i] = frames[row].past
+                took_s = _shares(frames[row:], time.perf_counter() - begun_s)
+                spent_s = [spent + own_s for spent, own_s in zip(spent_s, took_s, strict=True)]
+                yield batch
     boxes = [(made.low, made.step) for made in frames]
     quantised = tuple((own, *box) for own, box in zip(steps, boxes, strict=True)) if worn.step_count else ()
     batch = changed(batch, root=root, layers=(Layer(vertices),), steps=quantised)
@@ -149,6 +167,31 @@ def _drawn(
     for name, spent in zip(PARTS, spent_s, strict=True):
         if name in [stage.name for stage in stages.stages]:
             took(name, spent)
+
+
+def _moments(batch: Batch, stages: AtOnce, root: np.ndarray) -> Iterator[list[Moment]]:
+    """Yields the moments of each input, of which the ``root`` (F, 3) [m] is written."""
+    for one, rows in batch.rows():
+        feed, place = stages.network.posed_by(one.betas)
+        np.add(one.trans, place, out=root[rows])
+        poses, times_s = np.ascontiguousarray(one.poses, np.float64), one.times_s.tolist()
+        yield [
+            Moment(feed, pose, time_s, here, seen_from(batch.plan.colliders, here))
+            for pose, time_s, here in zip(poses, times_s, root[rows], strict=True)
+        ]
+
+
+def _checked(stages: AtOnce, made: Drawn | None) -> Drawn:
+    check_finite(stages.network.engine, made is not None)
+    assert made is not None
+    return made
+
+
+def _shares(frames: Sequence[Drawn], took_s: float) -> list[float]:
+    """The time that each of ``PARTS`` had of what frames took."""
+    ticks = [sum(own) for own in zip(*(made.ticks for made in frames), strict=True)]
+    tick_s = took_s / max(sum(ticks), 1)
+    return [tick_s * own for own in ticks]
 
 
 def _told(batch: Batch, stages: AtOnce, worn: FrameGarment, frames: list[Drawn], pasts: list[Past]) -> Batch:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from functools import cache, lru_cache
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from drape.inference.graph_names import JETS, SKIN
 from drape.inference.packing import Packer, Result, ScenePlan, Shape, check_finite
 from drape.inference.whole_graph import WholeGraph
 from drape.network.bodies import BodyFeed
+from drape.network.frame import FrameGarment
 from drape.network.novelty import kept_poses, novelty
 from drape.stages.batch import Batch, Jets, Layer, changed, concatenated, stacked
 from drape.stages.plan import Plan
@@ -64,6 +66,8 @@ class Network(Stage):
 
     def __init__(self, setup: StageSetup) -> None:
         super().__init__(setup)
+        self.lane = setup.lane
+        self.drawn_alike = WeakValueDictionary[tuple[Any, ...], FrameGarment]()  # by what is the same in their plans
         self.packer = WholeGraph(self.engine, self.body) if self.engine.whole else Packer(self.engine, self.body)
         body = setup.body  # not ``self``: a stage in a ring stays until the collector comes, which is seldom
         self._shape = lru_cache(SHAPES_KEPT)(lambda betas: pack_body(body, np.frombuffer(betas, np.float64)))

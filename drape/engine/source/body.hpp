@@ -6,7 +6,7 @@
 #include "numbers.hpp"
 
 constexpr int JOINTS = 24, STATIC_PER_JOINT = 9;
-constexpr int PARENTS[JOINTS] = {-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21};
+TABLE int PARENTS[JOINTS] = {-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21};
 constexpr int PART_SIZE = 48, REGION_SIZE = 12;  // samples that are posed together, and that are looked up together
 
 // The product of the quaternions wxyz a and b.
@@ -27,13 +27,14 @@ template <class T> INLINE void put_matrix(const T* q, T* out) {
 
 // Writes the unit quaternions (N, 4) and matrices (N, 9) of rotation vectors [rad] (N, 3).
 INLINE void describe_turns(const double* turns, int64_t count, double* quaternion, double* matrix) {
-  for (int64_t i = 0; i < count; ++i, quaternion += 4, matrix += 9) {
+  for (int64_t i : each(count)) {
     const Vector<double> turn = point(turns, i);
     const double angle = root(dot(turn, turn));
     const SineCosine half = sine_cosine_of(0.5 * angle);
-    quaternion[0] = half.cosine;
-    put_point(quaternion + 1, 0, scaled(angle > 1e-8 ? half.sine / angle : 0.5, turn));
-    put_matrix(quaternion, matrix);
+    double* own = quaternion + 4 * i;
+    own[0] = half.cosine;
+    put_point(own + 1, 0, scaled(angle > 1e-8 ? half.sine / angle : 0.5, turn));
+    put_matrix(own, matrix + 9 * i);
   }
 }
 
@@ -44,25 +45,25 @@ template <class T> INLINE Vector<T> turned_vector(const T* matrix, Vector<T> a) 
 
 // Writes quaternions (24, 4), rotations (24, 9) and joints [m] (24, 3) of bones with local quaternions (24, 4) and
 // joints rest [m] (24, 3). The root stays at its place.
-template <class T> void pose_bones(const T* local, const T* rest, T* quaternion, T* rotation, T* place) {
-  for (int joint = 0; joint < JOINTS; ++joint) {
-    const int parent = PARENTS[joint];
-    if (parent < 0) {
-      for (int i = 0; i < 4; ++i) quaternion[i] = local[i];
-    } else {
-      put_product(quaternion + 4 * parent, local + 4 * joint, quaternion + 4 * joint);
-      put_point(place, joint, point(place, parent) + turned_vector(rotation + 9 * parent,
-          point(rest, joint) - point(rest, parent)));
+template <class T> DEVICE void pose_bones(const T* local, const T* rest, T* quaternion, T* rotation, T* place) {
+  for (int64_t first : each(1))  // a bone needs those before it
+    for (int64_t joint = first; joint < JOINTS; ++joint) {
+      const int parent = PARENTS[joint];
+      if (parent < 0) {
+        for (int i = 0; i < 4; ++i) quaternion[i] = local[i];
+      } else {
+        put_product(quaternion + 4 * parent, local + 4 * joint, quaternion + 4 * joint);
+        put_point(place, joint, point(place, parent) + turned_vector(rotation + 9 * parent,
+            point(rest, joint) - point(rest, parent)));
+      }
+      put_matrix(quaternion + 4 * joint, rotation + 9 * joint);
     }
-    put_matrix(quaternion + 4 * joint, rotation + 9 * joint);
-  }
 }
 
 // Writes drape.body.features.static_features of local quaternions and the bones' rotation (24, 9).
-template <class T> void describe_pose(const T* local, const T* rotation, T* features) {
-  T matrix[9];
-  for (int joint = 0; joint < JOINTS; ++joint) {
-    T* own = features + STATIC_PER_JOINT * joint;
+template <class T> DEVICE void describe_pose(const T* local, const T* rotation, T* features) {
+  for (int64_t joint : each(JOINTS)) {
+    T matrix[9], *own = features + STATIC_PER_JOINT * joint;
     put_matrix(local + 4 * joint, matrix);
     for (int i = 0; i < 3; ++i) {
       // The root's own turn is not told.
@@ -91,9 +92,10 @@ void describe_bodies(const T* local, const T* trans, const T* rest, int64_t fram
 // Writes the eight numbers of so many samples: point, its square, normal, and their product.
 template <class T> INLINE void put_samples(T* skin, Points<T> p, Points<T> n, int count) {
   const Row<T> square = dot(p, p), across = dot(p, n);
-  for (int lane = 0; lane < count; ++lane, skin += 8) {
-    skin[0] = p.x[lane], skin[1] = p.y[lane], skin[2] = p.z[lane], skin[3] = square[lane];
-    skin[4] = n.x[lane], skin[5] = n.y[lane], skin[6] = n.z[lane], skin[7] = across[lane];
+  for (int k = 0; k < WIDTH && k < count; ++k) {
+    T* own = skin + 8 * lane_of(k);
+    own[0] = number_in(p.x, k), own[1] = number_in(p.y, k), own[2] = number_in(p.z, k), own[3] = number_in(square, k);
+    own[4] = number_in(n.x, k), own[5] = number_in(n.y, k), own[6] = number_in(n.z, k), own[7] = number_in(across, k);
   }
 }
 
@@ -103,43 +105,42 @@ template <class T> INLINE Points<T> unit_cross(Points<T> u, Points<T> v) {
   return scaled(T(1) / root<T>(most<T>(dot(n, n), row_of(T(1e-12)))), n);
 }
 
-// Writes the samples (S, 8) of drape.contact.samples.sample_table: sums over bones, a part at a time.
-template <class T> void pose_skin(const T* rotation, const T* translation, const BodyFeed<T>& feed, T* skin) {
-  constexpr int WIDTH = 3 * PART_SIZE;
-  const int64_t parts = feed.skin_counts.count, bones = feed.skin_bones.count / parts;
-  T posed[3 * WIDTH];
-  for (int64_t part = 0; part < parts; ++part) {
-    const T* rows = feed.skin_rows + 4 * WIDTH * bones * part;
-    for (int column = 0; column < WIDTH; column += LANES) {
-      Points<T> sum = {};
-      for (int64_t n = 0; n < feed.skin_counts[part]; ++n) {
-        const int64_t bone = feed.skin_bones[bones * part + n];
-        const T *turn = rotation + 9 * bone, *way = translation + 3 * bone;
-        for (int i = 0; i < 4; ++i) {
-          Row<T> row = row_at(rows + WIDTH * (4 * n + i) + column);
-          sum.x = sum.x + row * (i < 3 ? turn[i] : way[0]);
-          sum.y = sum.y + row * (i < 3 ? turn[3 + i] : way[1]);
-          sum.z = sum.z + row * (i < 3 ? turn[6 + i] : way[2]);
-        }
-      }
-      put(posed + column, sum.x), put(posed + WIDTH + column, sum.y), put(posed + 2 * WIDTH + column, sum.z);
-    }
-    for (int first = 0; first < PART_SIZE; first += LANES) {
-      const T* from = posed + first;
-      Points<T> p = {row_at(from), row_at(from + WIDTH), row_at(from + 2 * WIDTH)}, u, v;
-      from += PART_SIZE;
-      u = {row_at(from), row_at(from + WIDTH), row_at(from + 2 * WIDTH)};
-      from += PART_SIZE;
-      v = {row_at(from), row_at(from + WIDTH), row_at(from + 2 * WIDTH)};
-      put_samples<T>(skin + 8 * (PART_SIZE * part + first), p, unit_cross<T>(u, v), LANES);
+// Where bones with so many rows (4 a bone, each of SKIN_ROW numbers) carry sixteen columns of a part.
+constexpr int SKIN_ROW = 3 * PART_SIZE;  // points and both tangents of a part
+template <class T>
+INLINE Points<T> posed_column(const T* rotation, const T* translation, const T* rows, const int32_t* bones,
+                              int64_t count) {
+  Points<T> sum = {};
+  for (int64_t n = 0; n < count; ++n) {
+    const T *turn = rotation + 9 * bones[n], *way = translation + 3 * bones[n];
+    for (int i = 0; i < 4; ++i) {
+      Row<T> row = row_at(rows + SKIN_ROW * (4 * n + i));
+      sum.x = sum.x + row * (i < 3 ? turn[i] : way[0]);
+      sum.y = sum.y + row * (i < 3 ? turn[3 + i] : way[1]);
+      sum.z = sum.z + row * (i < 3 ? turn[6 + i] : way[2]);
     }
   }
+  return sum;
+}
+
+// Writes the samples (S, 8) of drape.contact.samples.sample_table: sums over bones, sixteen samples at a time.
+template <class T>
+DEVICE void pose_skin(const T* rotation, const T* translation, const BodyFeed<T>& feed, T* skin) {
+  const int64_t parts = feed.skin_counts.count, bones = feed.skin_bones.count / parts;
+  visit_parts(parts, PART_SIZE / LANES, [&](int64_t part, int64_t block) {
+    const T* rows = feed.skin_rows + 4 * SKIN_ROW * bones * part + LANES * block;
+    Points<T> found[3];
+    for (int kind = 0; kind < 3; ++kind)
+      found[kind] = posed_column(rotation, translation, rows + PART_SIZE * kind, feed.skin_bones + bones * part,
+                                 feed.skin_counts[part]);
+    put_samples<T>(skin + 8 * (PART_SIZE * part + LANES * block), found[0], unit_cross<T>(found[1], found[2]), LANES);
+  });
 }
 
 // Writes how unlike kept poses the poses with joint matrices (F, 24, 9) are, (F,): of the parts of a body the largest
 // distance from the nearest kept one. A part is a layer that gives |k|^2 - 2 k.x of each kept pose k.
 template <class T>
-void compare_poses(const KeptPoses<T>& kept, const T* matrices, int64_t frames, T* novelty, Scratch& scratch) {
+DEVICE void compare_poses(const KeptPoses<T>& kept, const T* matrices, int64_t frames, T* novelty, Scratch& scratch) {
   int64_t most_ = 0;
   for (int64_t p = 0; p < kept.parts.count; ++p) most_ = more(most_, kept.parts[p].bias.count);
   T *numbers = scratch.take<T>(kept.entry.count), *squares = scratch.take<T>(most_);
@@ -151,23 +152,21 @@ void compare_poses(const KeptPoses<T>& kept, const T* matrices, int64_t frames, 
       const Layer<T>& part = kept.parts[p];
       const int64_t count = part.weight.count / part.bias.count;
       T own = 0;
-      for (int64_t i = 0; i < count; ++i) {
-        numbers[i] = matrices[entry[i]];
-        own += numbers[i] * numbers[i];
-      }
+      for (int64_t i : each(count)) numbers[i] = matrices[entry[i]];
+      for (int64_t i = 0; i < count; ++i) own += numbers[i] * numbers[i];
       entry += count;
       run_body_layer(part, numbers, squares);
       T nearest = squares[0];
-      for (int64_t k = 1; k < kept.counts[p]; ++k) nearest = less(squares[k], nearest);
-      furthest = more((nearest + own) / kept.over[p], furthest);
+      for (int64_t k : each(kept.counts[p])) nearest = less(squares[k], nearest);
+      furthest = more((-most_of_all(-nearest) + own) / kept.over[p], furthest);
     }
-    novelty[frame] = root(furthest);
+    if (is_first_thread()) novelty[frame] = root(furthest);
   }
 }
 
 // Writes the mean points of regions of samples [m] (R, 4), with half of their squares.
-template <class T> void put_regions(const T* skin, int64_t regions, T* region) {
-  for (int64_t r = 0; r < regions; ++r) {
+template <class T> DEVICE void put_regions(const T* skin, int64_t regions, T* region) {
+  for (int64_t r : each(regions)) {
     Vector<T> mean = {};
     for (int64_t s = REGION_SIZE * r; s < REGION_SIZE * (r + 1); ++s) mean = mean + point(skin + 8 * s, 0);
     mean = scaled(T(1.0 / REGION_SIZE), mean);
@@ -179,7 +178,7 @@ template <class T> void put_regions(const T* skin, int64_t regions, T* region) {
 // Poses a body for the network: writes the bones, the body's half of the first layer (code), the samples of the skin,
 // which are given where the feed has no rows for them, and the mean points of its regions [m] (R, 4), with half of
 // their squares.
-template <class T> void pose_body(const Weights<T>& weights, const BodyFeed<T>& feed, PosedBody<T>& body,
+template <class T> DEVICE void pose_body(const Weights<T>& weights, const BodyFeed<T>& feed, PosedBody<T>& body,
     Scratch& scratch) {
   const int64_t mark = scratch.used;
   int64_t widest = STATIC_PER_JOINT * JOINTS + feed.betas.count;
@@ -187,14 +186,14 @@ template <class T> void pose_body(const Weights<T>& weights, const BodyFeed<T>& 
     if (weights.body[n].bias.count > widest) widest = weights.body[n].bias.count;
   T *features = scratch.take<T>(widest), *outputs = scratch.take<T>(widest);
   if (scratch.overflowed) return;
-  put_point(body.place.begin, 0, Vector<T>{});
+  for (int64_t i : each(3)) body.place[i] = 0;
   pose_bones(feed.local.begin, feed.rest.begin, body.quaternion.begin, body.rotation.begin, body.place.begin);
-  for (int joint = 0; joint < JOINTS; ++joint)
+  for (int64_t joint : each(JOINTS))
     put_point(body.translation.begin, joint, point(body.place.begin, joint) - turned_vector(body.rotation + 9 * joint,
         point(feed.rest.begin, joint)));
   describe_pose(feed.local.begin, body.rotation.begin, features);
-  for (int64_t i = 0; i < feed.betas.count; ++i) features[STATIC_PER_JOINT * JOINTS + i] = feed.betas[i];
-  for (int64_t i = 0; i < weights.mean.count; ++i) {
+  for (int64_t i : each(feed.betas.count)) features[STATIC_PER_JOINT * JOINTS + i] = feed.betas[i];
+  for (int64_t i : each(weights.mean.count)) {
     const T scaled_ = (features[i] - weights.mean[i]) * weights.inverse_deviation[i];
     features[i] = scaled_ > -5 ? (scaled_ < 5 ? scaled_ : T(5)) : T(-5);
   }
@@ -203,7 +202,7 @@ template <class T> void pose_body(const Weights<T>& weights, const BodyFeed<T>& 
     T* other = features;
     features = outputs, outputs = other;
   }
-  for (int64_t i = 0; i < feed.motion.count; ++i) features[i] += feed.motion[i];
+  for (int64_t i : each(feed.motion.count)) features[i] += feed.motion[i];
   if (weights.from_body.bias.count)  // none where only bones and skin are wanted
     run_body_layer(weights.from_body, features, body.code.begin);
   if (feed.skin_rows.count) pose_skin(body.rotation.begin, body.translation.begin, feed, body.skin.begin);

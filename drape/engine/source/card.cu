@@ -1,4 +1,4 @@
-// The kernels of a card: frames of folds, a group of threads each.
+// The kernels of a card: frames, and folds alone, a group of threads each.
 #include <stddef.h>
 #include <stdint.h>
 
@@ -11,4 +11,9 @@ extern "C" {
 __device__ uint64_t drape_records_hash = RECORDS_HASH;
 
 __global__ void __launch_bounds__(MOST_THREADS) drape_folds(const FoldTask* tasks) { draw(tasks[blockIdx.x]); }
+
+// There are as many groups as the card holds at once, and scratch for each.
+__global__ void __launch_bounds__(MOST_THREADS) drape_frames(const FrameTask* tasks, int64_t count) {
+  for (int64_t n = blockIdx.x; n < count; n += gridDim.x) draw(tasks + n, blockIdx.x);
+}
 }

@@ -44,47 +44,54 @@ template <class T> INLINE Points<T> tangent_of(const T* jet, const T* rest, cons
   return t;
 }
 
-// Adds a force at a point, by the numbers (15,) of the basis there, to that on the jets.
-template <class T> INLINE void add_force(T* force, Points<T> a, const T* terms) {
-  for (int i = 0; i < PLANE; ++i) {
-    put(force + LANES * i, row_at(force + LANES * i) + a.x * terms[i]);
-    put(force + LANES * (PLANE + i), row_at(force + LANES * (PLANE + i)) + a.y * terms[i]);
-  }
-  for (int i = 2 * PLANE; i < 2 * PLANE + HEIGHT; ++i)
-    put(force + LANES * i, row_at(force + LANES * i) + a.z * terms[i - 2 * PLANE]);
+// What a number of the jets is: along which axis, and which one there.
+struct JetNumber { int64_t axis, number; };
+INLINE JetNumber jet_number(int64_t i) {
+  const int64_t axis = i < PLANE ? 0 : i < 2 * PLANE ? 1 : 2;
+  return {axis, i - PLANE * axis};
 }
 
 // Writes softened strain (21 rows) and force (27 rows) of the jets.
 template <class T>
-void feel_strain(const Weights<T>& weights, const Rows<T>& jets, const PatchRows<T>& rows, int64_t blocks,
-    const Rows<T>& felt) {
-  T force[LANES * JETS];
-  for (int64_t block = 0; block < blocks; ++block) {
+DEVICE void feel_strain(const Weights<T>& weights, const Rows<T>& jets, const PatchRows<T>& rows, int64_t blocks,
+    const Rows<T>& felt, Scratch& scratch) {
+  const int64_t mark = scratch.used, all = 6 * LANES * POINTS;
+  T* pieces = scratch.take<T>(all * pieces_of(blocks));  // forces at the points, by u and by v
+  if (scratch.overflowed) return;
+  auto strain_at = [&](int64_t block, int64_t p) {
     const T *jet = jets.at(block), *still = rows.tangent + LANES * 6 * POINTS * block;
     const T* unit = rows.unit + LANES * 6 * POINTS * block;
     T* to = felt.at(block);
-    for (int i = 0; i < JETS; ++i) put(force + LANES * i, T(0));
-    for (int p = 0; p < POINTS; ++p) {
-      const T *by_u = weights.basis_u + HEIGHT * p, *by_v = weights.basis_v + HEIGHT * p, *m = unit + LANES * p;
-      Points<T> u = tangent_of<T>(jet, still + LANES * p, by_u);
-      Points<T> v = tangent_of<T>(jet, still + LANES * (3 * POINTS + p), by_v);
-      Row<T> uu = dot(u, u), uv = dot(u, v), vv = dot(v, v);
-      Row<T> aa = row_at(m), ab = row_at(m + LANES * POINTS), ac = row_at(m + 2 * LANES * POINTS);
-      Row<T> bb = row_at(m + 3 * LANES * POINTS), bc = row_at(m + 4 * LANES * POINTS),
-          cc = row_at(m + 5 * LANES * POINTS);
-      const T half = T(0.5 * SOFTENING), trace = T(TRACE_SHARE);
-      Row<T> e = half * (aa * uu) - half, f = half * (bb * uu + T(2) * (bc * uv) + cc * vv) - half;
-      Row<T> g = T(SOFTENING) * (ab * uu + ac * uv);
-      put(to + LANES * p, soft<T>(e)), put(to + LANES * (POINTS + p), soft<T>(f)),
-          put(to + LANES * (2 * POINTS + p), soft<T>(g));
-      Row<T> by_e = (T(1) + trace) * e + trace * f, by_f = trace * e + (T(1) + trace) * f, by_g = T(0.5) * g;
-      Row<T> by_uu = aa * by_e + bb * by_f + T(2) * (ab * by_g);  // twice the derivative by g_uu
-      Row<T> by_uv = bc * by_f + ac * by_g, by_vv = cc * by_f;
-      add_force<T>(force, mix(by_uu, u, by_uv, v), by_u);
-      add_force<T>(force, mix(by_vv, v, by_uv, u), by_v);
+    const T *by_u = weights.basis_u + HEIGHT * p, *by_v = weights.basis_v + HEIGHT * p, *m = unit + LANES * p;
+    Points<T> u = tangent_of<T>(jet, still + LANES * p, by_u);
+    Points<T> v = tangent_of<T>(jet, still + LANES * (3 * POINTS + p), by_v);
+    Row<T> uu = dot(u, u), uv = dot(u, v), vv = dot(v, v);
+    Row<T> aa = row_at(m), ab = row_at(m + LANES * POINTS), ac = row_at(m + 2 * LANES * POINTS);
+    Row<T> bb = row_at(m + 3 * LANES * POINTS), bc = row_at(m + 4 * LANES * POINTS),
+        cc = row_at(m + 5 * LANES * POINTS);
+    const T half = T(0.5 * SOFTENING), trace = T(TRACE_SHARE);
+    Row<T> e = half * (aa * uu) - half, f = half * (bb * uu + T(2) * (bc * uv) + cc * vv) - half;
+    Row<T> g = T(SOFTENING) * (ab * uu + ac * uv);
+    put(to + LANES * p, soft<T>(e)), put(to + LANES * (POINTS + p), soft<T>(f)),
+        put(to + LANES * (2 * POINTS + p), soft<T>(g));
+    Row<T> by_e = (T(1) + trace) * e + trace * f, by_f = trace * e + (T(1) + trace) * f, by_g = T(0.5) * g;
+    Row<T> by_uu = aa * by_e + bb * by_f + T(2) * (ab * by_g);  // twice the derivative by g_uu
+    Row<T> by_uv = bc * by_f + ac * by_g, by_vv = cc * by_f;
+    T* force = pieces + all * piece_of(block) + 6 * LANES * p;
+    put3(force, mix(by_uu, u, by_uv, v));
+    put3(force + 3 * LANES, mix(by_vv, v, by_uv, u));
+  };
+  visit_twice(blocks, POINTS, strain_at, JETS, [&](int64_t block, int64_t i) {
+    const JetNumber own = jet_number(i);
+    const T* force = pieces + all * piece_of(block) + LANES * own.axis;
+    Row<T> sum = row_of(T(0));
+    for (int p = 0; p < POINTS; ++p, force += 6 * LANES) {
+      sum = sum + row_at(force) * weights.basis_u[HEIGHT * p + own.number];
+      sum = sum + row_at(force + 3 * LANES) * weights.basis_v[HEIGHT * p + own.number];
     }
-    for (int i = 0; i < JETS; ++i) put(to + LANES * (STRAIN + i), soft<T>(row_at(force + LANES * i)));
-  }
+    put(felt.at(block) + LANES * (STRAIN + i), soft<T>(sum));
+  });
+  scratch.used = mark;
 }
 
 // A point of the patches of a block [patch scales].
@@ -120,150 +127,196 @@ template <class T> INLINE SurfaceOf<T> surface(Points<T> at, Points<T> mean, Poi
 
 // The samples near a block's points: their eight numbers one after the other, and their biases, a row each.
 template <class T> struct NearSamplesOf {
-  T table[8 * LANES * OWN_SAMPLES], bias[LANES * OWN_SAMPLES];
-  INLINE_MEMBER void take(const T* skin, const int32_t* index, int s) {
-    FourRows<T> p = samples_at(skin, index, 0), n = samples_at(skin, index, 4);
+  static constexpr int64_t SIZE = 9 * LANES * OWN_SAMPLES;
+  T *table, *bias;
+  INLINE_MEMBER explicit NearSamplesOf(T* piece) : table(piece), bias(piece + 8 * LANES * OWN_SAMPLES) {}
+  INLINE_MEMBER void take(const T* skin, const int32_t* held, int64_t s, Row<T> own_bias) {
+    FourRows<T> p = samples_of(skin, held, 0), n = samples_of(skin, held, 4);
     T* to = table + 8 * LANES * s;
     put(to, p.a), put(to + LANES, p.b), put(to + 2 * LANES, p.c), put(to + 3 * LANES, p.d);
     put(to + 4 * LANES, n.a), put(to + 5 * LANES, n.b), put(to + 6 * LANES, n.c), put(to + 7 * LANES, n.d);
+    put(bias + LANES * s, own_bias);
   }
 };
 
-// Writes the planes of a block of the means of count samples about each point: local in the frames, places in the
-// world.
+// Writes the plane of a block of the means of count samples about each point: local in the frames, at in the world.
 template <class T>
-void write_felt_planes(const NearSamplesOf<T>& near, int count, Row<T> there, const Points<T> (&local)[POINTS],
-    const Points<T> (&places)[POINTS], const T* frame, T* planes) {
-  T logits[LANES * OWN_SAMPLES];
+INLINE void write_felt_plane(const NearSamplesOf<T>& near, int count, Row<T> there, Points<T> local, Points<T> at,
+    const T* frame, T* to) {
+  T logits[WIDTH * OWN_SAMPLES];
   const Row<T> zero = row_of(T(0));
   Row<T> unit_per = row_at(frame + SCALE) * T(-1.0 / UNIT_M);
-  for (int point_ = 0; point_ < POINTS; ++point_) {
-    const Points<T> at = places[point_];
-    Row<T> highest = row_of(T(-1e30)), total = zero, across = zero;
-    Points<T> mean = {zero, zero, zero}, normal = mean;
-    for (int s = 0; s < count; ++s) {
-      const T* own = near.table + 8 * LANES * s;
-      Row<T> along = dot(at, rows3_at(own));
-      Row<T> logit = T(PER_BANDWIDTH) * (T(2) * along - row_at(own + 3 * LANES)) + row_at(near.bias + LANES * s);
-      put(logits + LANES * s, logit);
-      highest = most<T>(logit, highest);
-    }
-    for (int s = 0; s < count; ++s) {
-      const T* own = near.table + 8 * LANES * s;
-      Row<T> share = exponential<T>(row_at(logits + LANES * s) - highest);
-      total = total + share;
-      mean = plus(mean, share, rows3_at(own));
-      normal = plus(normal, share, rows3_at(own + 4 * LANES));
-      across = across + share * row_at(own + 7 * LANES);
-    }
-    Row<T> per = T(1) / total, fading = there * per;
-    SurfaceOf<T> found = surface<T>(at, scaled(per, mean), scaled(fading, normal), fading * across);
-    Row<T> share = found.there * ramp<T>(found.distance, T(DEEP_LOW_M), T(DEEP_HIGH_M));
-    Points<T> n = into_frame(frame, scaled(unit_per, found.normal));
-    T* to = planes + 6 * LANES * point_;
-    put3(to, n);
-    put(to + 3 * LANES, (T(FELT_GAP_M) - found.distance) * T(1.0 / UNIT_M) - dot(n, local[point_]));
-    put(to + 4 * LANES, share);
-    put(to + 5 * LANES, share / unit_per);
+  Row<T> highest = row_of(T(-1e30)), total = zero, across = zero;
+  Points<T> mean = {zero, zero, zero}, normal = mean;
+  for (int s = 0; s < count; ++s) {
+    const T* own = near.table + 8 * LANES * s;
+    Row<T> along = dot(at, rows3_at(own));
+    Row<T> logit = T(PER_BANDWIDTH) * (T(2) * along - row_at(own + 3 * LANES)) + row_at(near.bias + LANES * s);
+    put_several<T>(logits + WIDTH * s, logit);
+    highest = most<T>(logit, highest);
   }
+  for (int s = 0; s < count; ++s) {
+    const T* own = near.table + 8 * LANES * s;
+    Row<T> share = exponential<T>(several_at(logits + WIDTH * s) - highest);
+    total = total + share;
+    mean = plus(mean, share, rows3_at(own));
+    normal = plus(normal, share, rows3_at(own + 4 * LANES));
+    across = across + share * row_at(own + 7 * LANES);
+  }
+  Row<T> per = T(1) / total, fading = there * per;
+  SurfaceOf<T> found = surface<T>(at, scaled(per, mean), scaled(fading, normal), fading * across);
+  Row<T> share = found.there * ramp<T>(found.distance, T(DEEP_LOW_M), T(DEEP_HIGH_M));
+  Points<T> n = into_frame(frame, scaled(unit_per, found.normal));
+  put3(to, n);
+  put(to + 3 * LANES, (T(FELT_GAP_M) - found.distance) * T(1.0 / UNIT_M) - dot(n, local));
+  put(to + 4 * LANES, share);
+  put(to + 5 * LANES, share / unit_per);
+}
+
+// The two regions of other parts that are nearest to the middle of a block's points, by their bias.
+template <class T> struct TwoRegions { Mask<T> one, two; };
+template <class T> INLINE TwoRegions<T> nearest_regions(const PosedBody<T>& body, const T* bias, Points<T> middle) {
+  Row<T> first = row_of(T(-1e30)), second = first;
+  Mask<T> one = {}, two = {};
+  for (int64_t r = 0; r < body.region.count / 4; ++r) {
+    const T* own = body.region + 4 * r;
+    Row<T> near_ = middle.x * own[0] + middle.y * own[1] + middle.z * own[2] - own[3];
+    Row<T> score = row_at(bias + LANES * r) * T(REGION_BIAS_M2) + T(2) * near_;
+    Mask<T> number = (Mask<T>)(typename Numbers<T>::Whole(r));
+    two = score > first ? one : (score > second ? number : two);
+    second = where<T>(score > first, first, most<T>(score, second));
+    one = score > first ? number : one;
+    first = most<T>(score, first);
+  }
+  return {one, two};
 }
 
 // Writes the tangent planes of the body near the patches of jets.
 template <class T>
-void find_planes(const Weights<T>& weights, const Rows<T>& jets, const PosedBody<T>& body, const T* frames,
-    const PatchRows<T>& rows, int64_t blocks, T* planes) {
-  const int64_t regions = body.region.count / 4;
-  NearSamplesOf<T> near;
-  for (int64_t block = 0; block < blocks; ++block) {
-    const T *frame = frames + FRAME * block, *place = rows.place + LANES * 3 * POINTS * block;
-    Points<T> local[POINTS], places[POINTS], middle = {};
-    for (int p = 0; p < POINTS; ++p) {
-      local[p] = felt_point<T>(weights, jets.at(block), place, p);
-      places[p] = out_of_frame(frame, scaled(row_at(frame + SCALE), local[p])) + centre_of(frame);
-      middle = middle + places[p];
+DEVICE void find_planes(const Weights<T>& weights, const Rows<T>& jets, const PosedBody<T>& body, const T* frames,
+    const PatchRows<T>& rows, int64_t blocks, T* planes, Scratch& scratch) {
+  const int64_t mark = scratch.used, regions = body.region.count / 4, all = NearSamplesOf<T>::SIZE;
+  T *pieces = scratch.take<T>(all * pieces_of(blocks)), *points = scratch.take<T>(6 * LANES * POINTS * blocks);
+  T* there = scratch.take<T>(LANES * blocks);
+  int32_t* chosen = scratch.take<int32_t>(2 * LANES * blocks);
+  if (scratch.overflowed) return;
+  auto near = [&](int64_t block) { return NearSamplesOf<T>(pieces + all * piece_of(block)); };
+  auto write = [&](int64_t block, int64_t p, int side, int count, Row<T> fading) {
+    const T *own = points + 6 * LANES * (POINTS * block + p), *frame = frames + FRAME * block;
+    write_felt_plane<T>(near(block), count, fading, rows3_at(own), rows3_at(own + 3 * LANES), frame,
+        planes + LANES * (PLANES_FELT * block + 6 * (POINTS * side + p)));
+  };
+  auto other_of = [&](int64_t block, int k, int s) {
+    const int32_t region = chosen[LANES * (2 * block + s / REGION_SIZE) + lane_of(k)];
+    return REGION_SIZE * region + s % REGION_SIZE;
+  };
+  auto steps_of = [&](int64_t block, int k, int s) {
+    return rows.other[LANES * (REGION_SIZE * regions * block + other_of(block, k, s)) + lane_of(k)];
+  };
+  visit_parts(blocks, POINTS, [&](int64_t block, int64_t p) {
+    const T* frame = frames + FRAME * block;
+    const Points<T> local = felt_point<T>(weights, jets.at(block), rows.place + LANES * 3 * POINTS * block, int(p));
+    T* own = points + 6 * LANES * (POINTS * block + p);
+    put3(own, local);
+    put3(own + 3 * LANES, out_of_frame(frame, scaled(row_at(frame + SCALE), local)) + centre_of(frame));
+  });
+  visit_twice(
+      blocks, OWN_SAMPLES,
+      [&](int64_t block, int64_t s) {
+        const int64_t at = LANES * (OWN_SAMPLES * block + s);
+        int32_t held[WIDTH];
+        for (int k = 0; k < WIDTH; ++k) held[k] = rows.sample[at + lane_of(k)];
+        near(block).take(body.skin, held, s, row_at(rows.bias + at));
+      },
+      POINTS, [&](int64_t block, int64_t p) { write(block, p, 0, OWN_SAMPLES, row_of(T(1))); });
+  for (int64_t block : each_block(blocks)) {
+    Points<T> middle = {};
+    for (int p = 0; p < POINTS; ++p)
+      middle = middle + rows3_at(points + 6 * LANES * (POINTS * block + p) + 3 * LANES);
+    const TwoRegions<T> found = nearest_regions<T>(body, rows.region + LANES * regions * block,
+                                                   scaled(row_of(T(1.0 / POINTS)), middle));
+    for (int k = 0; k < WIDTH; ++k) {
+      chosen[2 * LANES * block + lane_of(k)] = int32_t(number_in(found.one, k));
+      chosen[2 * LANES * block + LANES + lane_of(k)] = int32_t(number_in(found.two, k));
+      int any = 0;
+      for (int s = 0; s < OTHER_SAMPLES; ++s) any |= steps_of(block, k, s);
+      there[LANES * block + lane_of(k)] = T(any != 0);
     }
-    for (int s = 0; s < OWN_SAMPLES; ++s) {
-      near.take(body.skin, rows.sample + LANES * (OWN_SAMPLES * block + s), s);
-      put(near.bias + LANES * s, row_at(rows.bias + LANES * (OWN_SAMPLES * block + s)));
-    }
-    write_felt_planes<T>(near, OWN_SAMPLES, row_of(T(1)), local, places, frame, planes + LANES * PLANES_FELT * block);
-    // The two regions of other parts that are nearest to the middle, by their bias.
-    middle = scaled(row_of(T(1.0 / POINTS)), middle);
-    Row<T> first = row_of(T(-1e30)), second = first;
-    Mask<T> one = {}, two = {};
-    for (int64_t r = 0; r < regions; ++r) {
-      const T* own = body.region + 4 * r;
-      Row<T> near_ = middle.x * own[0] + middle.y * own[1] + middle.z * own[2] - own[3];
-      Row<T> score = row_at(rows.region + LANES * (regions * block + r)) * T(REGION_BIAS_M2) + T(2) * near_;
-      Mask<T> number = (Mask<T>)(typename Numbers<T>::Whole(r));
-      two = score > first ? one : (score > second ? number : two);
-      second = where<T>(score > first, first, most<T>(score, second));
-      one = score > first ? number : one;
-      first = most<T>(score, first);
-    }
-    Row<T> there = row_of(T(0));
-    for (int s = 0; s < OTHER_SAMPLES; ++s) {
-      int32_t index[LANES];
-      const uint8_t* other = rows.other + LANES * REGION_SIZE * regions * block;
-      for (int lane = 0; lane < LANES; ++lane) {
-        index[lane] = int32_t(REGION_SIZE * (s < REGION_SIZE ? one[lane] : two[lane]) + s % REGION_SIZE);
-        const uint8_t steps = other[LANES * index[lane] + lane];
-        near.bias[LANES * s + lane] = weights.logs[steps];
-        if (steps) there[lane] = 1;
-      }
-      near.take(body.skin, index, s);
-    }
-    write_felt_planes<T>(near, OTHER_SAMPLES, there, local, places, frame,
-        planes + LANES * (PLANES_FELT * block + 6 * POINTS));
   }
+  visit_twice(
+      blocks, OTHER_SAMPLES,
+      [&](int64_t block, int64_t s) {
+        int32_t held[WIDTH];
+        Row<T> bias;
+        for (int k = 0; k < WIDTH; ++k) {
+          held[k] = int32_t(other_of(block, k, int(s)));
+          set_number(bias, k, weights.logs[steps_of(block, k, int(s))]);
+        }
+        near(block).take(body.skin, held, s, bias);
+      },
+      POINTS, [&](int64_t block, int64_t p) { write(block, p, 1, OTHER_SAMPLES, row_at(there + LANES * block)); });
+  scratch.used = mark;
 }
 
 // Writes closeness (14 rows) to the planes and their softened force (27 rows) on the jets.
 template <class T>
-void feel_body(const Weights<T>& weights, const Rows<T>& jets, const PatchRows<T>& rows, const T* planes,
-    int64_t blocks, const Rows<T>& felt) {
-  T force[LANES * JETS];
-  for (int64_t block = 0; block < blocks; ++block) {
-    const T *jet = jets.at(block), *place = rows.place + LANES * 3 * POINTS * block;
-    T* to = felt.at(block);
-    for (int i = 0; i < JETS; ++i) put(force + LANES * i, T(0));
-    for (int p = 0; p < POINTS; ++p) {
-      Points<T> at = felt_point<T>(weights, jet, place, p), push = {};
-      for (int side = 0; side < 2; ++side) {
-        const T* near = planes + LANES * (PLANES_FELT * block + 6 * (POINTS * side + p));
-        Points<T> n = rows3_at(near);
-        Row<T> missing = row_at(near + 3 * LANES) + dot(n, at);
-        put(to + LANES * (POINTS * side + p), row_at(near + 4 * LANES) * tangent<T>(missing));
-        push = plus(push, row_at(near + 5 * LANES) * most<T>(missing, row_of(T(0))), n);
-      }
-      add_force<T>(force, push, weights.basis + HEIGHT * p);
+DEVICE void feel_body(const Weights<T>& weights, const Rows<T>& jets, const PatchRows<T>& rows, const T* planes,
+    int64_t blocks, const Rows<T>& felt, Scratch& scratch) {
+  const int64_t mark = scratch.used, all = 3 * LANES * POINTS;
+  T* pieces = scratch.take<T>(all * pieces_of(blocks));  // what pushes the points
+  if (scratch.overflowed) return;
+  auto push_at = [&](int64_t block, int64_t p) {
+    Points<T> at = felt_point<T>(weights, jets.at(block), rows.place + LANES * 3 * POINTS * block, int(p)), push = {};
+    for (int side = 0; side < 2; ++side) {
+      const T* near = planes + LANES * (PLANES_FELT * block + 6 * (POINTS * side + p));
+      Points<T> n = rows3_at(near);
+      Row<T> missing = row_at(near + 3 * LANES) + dot(n, at);
+      put(felt.at(block) + LANES * (POINTS * side + p), row_at(near + 4 * LANES) * tangent<T>(missing));
+      push = plus(push, row_at(near + 5 * LANES) * most<T>(missing, row_of(T(0))), n);
     }
-    for (int i = 0; i < JETS; ++i) put(to + LANES * (2 * POINTS + i), soft<T>(row_at(force + LANES * i)));
-  }
+    put3(pieces + all * piece_of(block) + 3 * LANES * p, push);
+  };
+  visit_twice(blocks, POINTS, push_at, JETS, [&](int64_t block, int64_t i) {
+    const JetNumber own = jet_number(i);
+    const T* push = pieces + all * piece_of(block) + LANES * own.axis;
+    Row<T> sum = row_of(T(0));
+    for (int p = 0; p < POINTS; ++p) sum = sum + row_at(push + 3 * LANES * p) * weights.basis[HEIGHT * p + own.number];
+    put(felt.at(block) + LANES * (2 * POINTS + i), soft<T>(sum));
+  });
+  scratch.used = mark;
 }
 
 // Takes back from jets what a correction, from jets before, takes deeper below the planes than it may.
 template <class T>
-void hold_corrections(const Weights<T>& weights, const Rows<T>& before, const PatchRows<T>& rows, const T* planes,
-    int64_t blocks, const Rows<T>& jets) {
+DEVICE void hold_corrections(const Weights<T>& weights, const Rows<T>& before, const PatchRows<T>& rows,
+    const T* planes, int64_t blocks, const Rows<T>& jets, Scratch& scratch) {
   const T soft_ = T(SOFT_M / UNIT_M), held = T((FELT_GAP_M + HELD_M) / UNIT_M);
-  for (int64_t block = 0; block < blocks; ++block) {
+  const int64_t mark = scratch.used, all = LANES * POINTS;
+  T* pieces = scratch.take<T>(all * pieces_of(blocks));  // the shares that points may go
+  if (scratch.overflowed) return;
+  auto share_at = [&](int64_t block, int64_t p) {
     const T *was = before.at(block), *place = rows.place + LANES * 3 * POINTS * block;
-    T* jet = jets.at(block);
+    const Points<T> at = felt_point<T>(weights, was, place, int(p));
+    const Points<T> way = felt_point<T>(weights, jets.at(block), place, int(p)) - at;
     Row<T> share = row_of(T(1));
-    for (int p = 0; p < POINTS; ++p) {
-      const Points<T> at = felt_point<T>(weights, was, place, p), way = felt_point<T>(weights, jet, place, p) - at;
-      for (int side = 0; side < 2; ++side) {
-        const T* near = planes + LANES * (PLANES_FELT * block + 6 * (POINTS * side + p));
-        const Points<T> n = rows3_at(near);
-        const Row<T> missing = row_at(near + 3 * LANES) + dot(n, at), deeper = row_at(near + 4 * LANES) * dot(n, way);
-        const Row<T> room = most<T>(held - missing, row_of(T(0))) + soft_;
-        share = least<T>(share, room / most<T>(deeper + soft_, room));
-      }
+    for (int side = 0; side < 2; ++side) {
+      const T* near = planes + LANES * (PLANES_FELT * block + 6 * (POINTS * side + p));
+      const Points<T> n = rows3_at(near);
+      const Row<T> missing = row_at(near + 3 * LANES) + dot(n, at), deeper = row_at(near + 4 * LANES) * dot(n, way);
+      const Row<T> room = most<T>(held - missing, row_of(T(0))) + soft_;
+      share = least<T>(share, room / most<T>(deeper + soft_, room));
     }
-    for (int i = 0; i < JETS; ++i)
+    put(pieces + all * piece_of(block) + LANES * p, share);
+  };
+  visit_twice(blocks, POINTS, share_at, 3, [&](int64_t block, int64_t third) {
+    const T *shares = pieces + all * piece_of(block), *was = before.at(block);
+    T* jet = jets.at(block);
+    Row<T> share = row_at(shares);
+    for (int p = 1; p < POINTS; ++p) share = least<T>(share, row_at(shares + LANES * p));
+    for (int64_t i = JETS / 3 * third; i < JETS / 3 * (third + 1); ++i)
       put(jet + LANES * i, row_at(was + LANES * i) + share * (row_at(jet + LANES * i) - row_at(was + LANES * i)));
-  }
+  });
+  scratch.used = mark;
 }
 
 }  // namespace network

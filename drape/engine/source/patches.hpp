@@ -29,27 +29,27 @@ template <class T> INLINE Points<T> out_of_frame(const T* f, Points<T> a) {
           row_at(f + 6 * LANES) * a.x + row_at(f + 7 * LANES) * a.y + row_at(f + 8 * LANES) * a.z};
 }
 
-// Writes the frames of the patches on a body.
-template <class T> void pose_frames(const PosedBody<T>& body, const PatchRows<T>& rows, int64_t blocks, T* frames) {
-  T signs[JOINTS * JOINTS];
-  for (int i = 0; i < JOINTS; ++i)
-    for (int j = 0; j < JOINTS; ++j) {
-      T same = 0;
-      for (int k = 0; k < 4; ++k) same += body.quaternion[4 * i + k] * body.quaternion[4 * j + k];
-      signs[JOINTS * i + j] = same < 0 ? T(-1) : T(1);
-    }
+// Writes the frames of the patches on a body. signs is room for a number of each two joints.
+template <class T>
+DEVICE void pose_frames(const PosedBody<T>& body, const PatchRows<T>& rows, int64_t blocks, T* signs, T* frames) {
+  for (int64_t both : each(JOINTS * JOINTS)) {
+    T same = 0;
+    for (int k = 0; k < 4; ++k)
+      same += body.quaternion[4 * (both / JOINTS) + k] * body.quaternion[4 * (both % JOINTS) + k];
+    signs[both] = same < 0 ? T(-1) : T(1);
+  }
   const int64_t betas = body.betas.count;
-  for (int64_t block = 0; block < blocks; ++block) {
+  for (int64_t block : each_block(blocks)) {
     const int32_t* heaviest = rows.heaviest + LANES * block;
     const T* weights = rows.weights + LANES * JOINTS * block;
     T* to = frames + FRAME * block;
     // Quaternions blend with signs fixed against the patch's heaviest bone, of which a little guards the norm.
     Row<T> q[4];
     for (int i = 0; i < 4; ++i)
-      for (int lane = 0; lane < LANES; ++lane) q[i][lane] = T(1e-6) * body.quaternion[4 * heaviest[lane] + i];
+      for (int k = 0; k < WIDTH; ++k) set_number(q[i], k, T(1e-6) * body.quaternion[4 * heaviest[lane_of(k)] + i]);
     for (int joint = 0; joint < JOINTS; ++joint) {
       Row<T> sign;
-      for (int lane = 0; lane < LANES; ++lane) sign[lane] = signs[JOINTS * joint + heaviest[lane]];
+      for (int k = 0; k < WIDTH; ++k) set_number(sign, k, signs[JOINTS * joint + heaviest[lane_of(k)]]);
       Row<T> weight = row_at(weights + LANES * joint) * sign;
       for (int i = 0; i < 4; ++i) q[i] = q[i] + weight * body.quaternion[4 * joint + i];
     }
@@ -81,22 +81,20 @@ template <class T> void pose_frames(const PosedBody<T>& body, const PatchRows<T>
 }
 
 // Writes the joints and gravity in the axes of each patch to the first SEEN rows.
-template <class T> void see_surroundings(const PosedBody<T>& body, const T* frames, int64_t blocks,
-    const Rows<T>& seen) {
-  for (int64_t block = 0; block < blocks; ++block) {
+template <class T>
+DEVICE void see_surroundings(const PosedBody<T>& body, const T* frames, int64_t blocks, const Rows<T>& seen) {
+  visit_parts(blocks, JOINTS, [&](int64_t block, int64_t joint) {
     const T* frame = frames + FRAME * block;
-    T* to = seen.at(block);
-    Points<T> centre = centre_of(frame);
-    for (int joint = 0; joint < JOINTS; ++joint) {
-      const Vector<T> p = point(body.place.begin, joint);
-      Points<T> way = into_frame(frame, Points<T>{p.x - centre.x, p.y - centre.y, p.z - centre.z});
-      Row<T> reach = root<T>(most<T>(dot(way, way), row_of(T(1e-12))));
-      Row<T> share = tangent<T>(reach * T(1.0 / JOINT_REACH_M)) / reach;
-      put3(to + LANES * 3 * joint, scaled(share, way));
-    }
-    for (int axis = 0; axis < 3; ++axis)
-      put(to + LANES * (GRAVITY + axis), -row_at(frame + ROTATION + LANES * (3 + axis)));
-  }
+    const Points<T> centre = centre_of(frame);
+    const Vector<T> p = point(body.place.begin, joint);
+    Points<T> way = into_frame(frame, Points<T>{p.x - centre.x, p.y - centre.y, p.z - centre.z});
+    Row<T> reach = root<T>(most<T>(dot(way, way), row_of(T(1e-12))));
+    Row<T> share = tangent<T>(reach * T(1.0 / JOINT_REACH_M)) / reach;
+    put3(seen.at(block) + LANES * 3 * joint, scaled(share, way));
+  });
+  visit_parts(blocks, 3, [&](int64_t block, int64_t axis) {
+    put(seen.at(block) + LANES * (GRAVITY + axis), -row_at(frames + FRAME * block + ROTATION + LANES * (3 + axis)));
+  });
 }
 
 template <class T> INLINE Row<T> in_plane(const T* jet, const Row<T> (&basis)[6]) {
@@ -107,36 +105,35 @@ template <class T> INLINE Row<T> in_plane(const T* jet, const Row<T> (&basis)[6]
 
 // Writes where charts put their members, times their weights, to said [m] (members, 3). jets are none where charts are
 // at rest in their frames.
-template <class T> void say(const Rows<T>& jets, const T* frames, const PatchRows<T>& rows, int64_t blocks, T* said) {
-  for (int64_t block = 0; block < blocks; ++block) {
+template <class T>
+DEVICE void say(const Rows<T>& jets, const T* frames, const PatchRows<T>& rows, int64_t blocks, T* said) {
+  visit_parts(blocks, MEMBERS, [&](int64_t block, int64_t member) {
     const T* frame = frames + FRAME * block;
     const T* jet = jets.values ? jets.at(block) : nullptr;
-    Points<T> centre = centre_of(frame);
-    Row<T> scale = row_at(frame + SCALE);
-    for (int member = 0; member < MEMBERS; ++member) {
-      const T* c = rows.columns + LANES * COLUMNS * (MEMBERS * block + member);
-      Points<T> p = rows3_at(c);
-      const Row<T> basis[6] = {row_at(c + 3 * LANES), row_at(c + 4 * LANES), row_at(c + 5 * LANES),
-                               row_at(c + 6 * LANES), row_at(c + 7 * LANES), row_at(c + 8 * LANES)};
-      const Row<T> weight = basis[0], u = basis[1], v = basis[2], uu = basis[3], uv = basis[4], vv = basis[5];
-      if (jet) {
-        p.x = p.x + in_plane<T>(jet, basis), p.y = p.y + in_plane<T>(jet + LANES * PLANE, basis);
-        p.z = p.z + in_plane<T>(jet + 2 * LANES * PLANE, basis);
-        const T* high = jet + 3 * LANES * PLANE;
-        const Row<T> product[9] = {uu * u, uu * v, vv * u, vv * v, uu * uu, uu * uv, uv * uv, uv * vv, vv * vv};
-        Row<T> more_ = row_at(high) * product[0];
-        for (int i = 1; i < 9; ++i) more_ = more_ + row_at(high + LANES * i) * product[i];
-        p.z = p.z + T(1) / most<T>(weight, row_of(T(1e-30))) * more_;
-      }
-      const Points<T> world = plus(out_of_frame(frame, scaled(scale, p)), weight, centre);
-      put_points(said + 3 * LANES * (MEMBERS * block + member), world);
+    const Points<T> centre = centre_of(frame);
+    const Row<T> scale = row_at(frame + SCALE);
+    const T* c = rows.columns + LANES * COLUMNS * (MEMBERS * block + member);
+    Points<T> p = rows3_at(c);
+    const Row<T> basis[6] = {row_at(c + 3 * LANES), row_at(c + 4 * LANES), row_at(c + 5 * LANES),
+                             row_at(c + 6 * LANES), row_at(c + 7 * LANES), row_at(c + 8 * LANES)};
+    const Row<T> weight = basis[0], u = basis[1], v = basis[2], uu = basis[3], uv = basis[4], vv = basis[5];
+    if (jet) {
+      p.x = p.x + in_plane<T>(jet, basis), p.y = p.y + in_plane<T>(jet + LANES * PLANE, basis);
+      p.z = p.z + in_plane<T>(jet + 2 * LANES * PLANE, basis);
+      const T* high = jet + 3 * LANES * PLANE;
+      const Row<T> product[9] = {uu * u, uu * v, vv * u, vv * v, uu * uu, uu * uv, uv * uv, uv * vv, vv * vv};
+      Row<T> more_ = row_at(high) * product[0];
+      for (int i = 1; i < 9; ++i) more_ = more_ + row_at(high + LANES * i) * product[i];
+      p.z = p.z + T(1) / most<T>(weight, row_of(T(1e-30))) * more_;
     }
-  }
+    const Points<T> world = plus(out_of_frame(frame, scaled(scale, p)), weight, centre);
+    put_points(said + 3 * LANES * (MEMBERS * block + member), world);
+  });
 }
 
 // Writes the anchors [m] (A, 3): the sums of what the four charts of each have said.
-template <class T> void place_anchors(const T* said, const Array<uint32_t>& anchor, T* anchors) {
-  for (int64_t a = 0; a < anchor.count / 4; ++a) {
+template <class T> DEVICE void place_anchors(const T* said, const Array<uint32_t>& anchor, T* anchors) {
+  for (int64_t a : each(anchor.count / 4)) {
     const uint32_t* i = anchor + 4 * a;
     put_point(anchors, a, point(said, i[0]) + point(said, i[1]) + (point(said, i[2]) + point(said, i[3])));
   }
@@ -156,29 +153,35 @@ template <int COUNT, class T> INLINE void fit_rows(const T* off, const T* fit, c
 
 // Writes jets that fit the anchors [m] (A, 3): 45 numbers where closing, else 27.
 template <class T>
-void fit_anchors(const T* anchors, const T* frames, const PatchRows<T>& rows, int64_t blocks, bool closing,
-    const Rows<T>& jets) {
-  T off[3 * LANES * MEMBERS];
-  for (int64_t block = 0; block < blocks; ++block) {
+DEVICE void fit_anchors(const T* anchors, const T* frames, const PatchRows<T>& rows, int64_t blocks, bool closing,
+    const Rows<T>& jets, Scratch& scratch) {
+  const int64_t mark = scratch.used, all = 3 * LANES * MEMBERS;
+  T* pieces = scratch.take<T>(all * pieces_of(blocks));
+  if (scratch.overflowed) return;
+  auto lay_off = [&](int64_t block, int64_t member) {
     const T* frame = frames + FRAME * block;
-    Points<T> centre = centre_of(frame);
-    Row<T> per = T(1) / row_at(frame + SCALE);
-    for (int member = 0; member < MEMBERS; ++member) {
-      Points<T> place = points_at(anchors, rows.member + LANES * (MEMBERS * block + member));
-      Points<T> way = scaled(per, into_frame(frame, place - centre));
-      put(off + LANES * member, way.x), put(off + LANES * (MEMBERS + member), way.y),
-          put(off + LANES * (2 * MEMBERS + member), way.z);
-    }
-    const T *fit = rows.fit + LANES * FIT * MEMBERS * block, *rest = rows.rest + LANES * 3 * FIT * block;
+    const Row<T> per = T(1) / row_at(frame + SCALE);
+    Points<T> place = points_at(anchors, rows.member + LANES * (MEMBERS * block + member));
+    Points<T> way = scaled(per, into_frame(frame, place - centre_of(frame)));
+    T* off = pieces + all * piece_of(block) + LANES * member;
+    put(off, way.x), put(off + LANES * MEMBERS, way.y), put(off + 2 * LANES * MEMBERS, way.z);
+  };
+  auto fit = [&](int64_t block, int64_t part) {
+    const T *from = rows.fit + LANES * FIT * MEMBERS * block, *rest = rows.rest + LANES * 3 * FIT * block;
+    const T* off = pieces + all * piece_of(block);
     T* to = jets.at(block);
-    for (int axis = closing ? 0 : 2; axis < 3; ++axis)
-      for (int first = 0; first < HEIGHT; first += 5)
-        fit_rows<5>(off + LANES * MEMBERS * axis, fit + LANES * first, rest + LANES * (FIT * axis + first),
-                    to + LANES * ((closing ? HEIGHT * axis : 2 * PLANE) + first));
-    for (int axis = 0; !closing && axis < 2; ++axis)
-      fit_rows<6>(off + LANES * MEMBERS * axis, fit + LANES * HEIGHT, rest + LANES * (FIT * axis + HEIGHT),
+    if (!closing && part >= 3) {  // in the plane
+      const int64_t axis = part - 3;
+      fit_rows<6>(off + LANES * MEMBERS * axis, from + LANES * HEIGHT, rest + LANES * (FIT * axis + HEIGHT),
           to + LANES * PLANE * axis);
-  }
+    } else {
+      const int64_t axis = closing ? part / 3 : 2, first = 5 * (part % 3);
+      fit_rows<5>(off + LANES * MEMBERS * axis, from + LANES * first, rest + LANES * (FIT * axis + first),
+          to + LANES * ((closing ? HEIGHT * axis : 2 * PLANE) + first));
+    }
+  };
+  visit_twice(blocks, MEMBERS, lay_off, closing ? 9 : 5, fit);
+  scratch.used = mark;
 }
 
 }  // namespace network

@@ -11,6 +11,7 @@
 #define INLINE static __device__ __forceinline__
 #define INLINE_MEMBER __device__ __forceinline__
 #define DEVICE static __device__ __noinline__
+#define TABLE static __device__ const
 #define __builtin_sqrtf sqrtf
 #define __builtin_sqrt sqrt
 #define __builtin_floor floor
@@ -20,6 +21,7 @@
 #define INLINE static inline __attribute__((always_inline))
 #define INLINE_MEMBER inline __attribute__((always_inline))
 #define DEVICE  // code of a card, too
+#define TABLE constexpr
 #endif
 #if defined(_WIN32)
 #define EXPORT extern "C" __attribute__((dllexport))
@@ -29,7 +31,9 @@
 
 // A clock of the processor, in steps of no known length: of use for shares of a time.
 INLINE uint64_t ticks() {
-#if defined(__x86_64__)
+#if defined(__CUDACC__)
+  return uint64_t(clock64());
+#elif defined(__x86_64__)
   return __builtin_ia32_rdtsc();
 #elif defined(__aarch64__)
   uint64_t now;

@@ -55,6 +55,7 @@ template <class R, class N> INLINE void add_product(R& row, int k, N a, N b) { r
 
 // As many numbers one after the other as a thread holds.
 template <class T> INLINE Row<T> several_at(const T* from) { return row_at(from); }
+template <class T> INLINE void put_several(T* to, Row<T> row) { put(to, row); }
 
 // Rows of indices: in memory, as a thread holds them (WIDTH of them), and one after the other from first on.
 INLINE Indices indices_at(const int32_t* from) { return loaded<Indices>(from); }

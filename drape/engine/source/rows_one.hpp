@@ -8,12 +8,14 @@ constexpr int LANES = 16, WIDTH = 1;
 template <class T> using Row = T;
 template <class T> using Points = Vector<T>;
 template <class T> using Mask = int32_t;
+template <class T> struct Numbers { typedef int32_t Whole; };
 typedef int32_t Indices;
 
 template <class T> INLINE T row_of(T number) { return number; }
 template <class T> INLINE T row_at(const T* from) { return from[lane()]; }
 template <class T> INLINE void put(T* to, T number) { to[lane()] = number; }
 template <class T> INLINE T several_at(const T* from) { return from[0]; }
+template <class T> INLINE void put_several(T* to, T number) { to[0] = number; }
 INLINE Indices indices_at(const int32_t* from) { return from[lane()]; }
 INLINE Indices indices_in(const int32_t* held) { return held[0]; }
 INLINE Indices indices_from(int64_t first) { return int32_t(first) + lane(); }

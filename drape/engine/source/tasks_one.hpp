@@ -1,13 +1,38 @@
-// Frames of many streams as a card is asked for them: a group of threads draws one (threads_one.hpp).
+// Frames of many streams as a card is asked for them: a group of threads draws one (threads_one.hpp). All that a task
+// points to lies where the card reads it (drape/engine/card_frames.py).
 #pragma once
-#include "eased.hpp"
-#include "quantise.hpp"
-#include "swing.hpp"
+#include "parts_one.hpp"
 
-enum Step { ONE_LEVEL, TWO_LEVELS, LIFT_ALONE, SWING, QUANTISE };
+#include "frame_steps.hpp"
 
-// A frame of folds; all of it lies where the card reads it (drape/engine/card_frames.py). For swing the records are
-// those of swing, and for both that and quantising the effort is Sizes.
+// A frame from its pose on. What it returns is that of drape_frame_f32, -1 also where it was not begun.
+struct FrameResult {
+  FrameOutcome told;
+  int64_t returned;
+};
+struct FrameTask {
+  const FrameCall<float>* call;
+  FrameResult* result;
+  uint8_t* scratch;  // of the first group; those of others lie behind it
+  int64_t scratch_size;
+  int64_t chain;  // this task and so many less one behind it, which go on from each other; 0 for those
+};
+
+INLINE void draw(const FrameTask* tasks, int64_t group_number) {
+  FrameOutcome told = {};
+  int64_t returned = 1;
+  for (int64_t n = 0; n < tasks[0].chain; ++n) {
+    const FrameTask& task = tasks[n];
+    for (int64_t first : each(n ? 1 : 0)) task.call->folded_before[first].turn = told.folds.turn;
+    Scratch scratch = {task.scratch + task.scratch_size * group_number, task.scratch_size, 0, false};
+    returned = returned == 1 ? draw_frame(*task.call, told, scratch) : -1;  // every thread hands out the same pieces
+    if (is_first_thread()) *task.result = {told, returned};
+  }
+}
+
+// Folds alone.
+enum Step { ONE_LEVEL, TWO_LEVELS, LIFT_ALONE };
+
 struct FoldTask {
   uint64_t step;
   const float* vertices;
@@ -30,32 +55,11 @@ template <class Frame, class Cloth> INLINE void draw(const FoldTask& task, Frame
   task.scratch->overflowed = scratch.overflowed;
 }
 
-// So many vertices; the share of swing, or the last step of coordinates.
-struct Sizes {
-  int64_t vertices;
-  double number;
-};
-
-INLINE void draw_swing(const FoldTask& task, const Sizes& sizes) {
-  Scratch scratch = *task.scratch;
-  const bool moved = swing::frame(task.vertices, sizes.vertices, *(const SwingMemory<float>*)task.past, *task.around,
-                                  *(const SwingConstants<float>*)task.cloth, float(sizes.number),
-                                  *(SwingMemory<float>*)task.after, task.folded, scratch);
-  if (!is_first_thread()) return;
-  *(int64_t*)task.outcome = moved;
-  task.scratch->overflowed = scratch.overflowed;
-}
-
 INLINE void draw(const FoldTask& task) {
-  const Sizes* sizes = (const Sizes*)task.effort;
   if (task.step == ONE_LEVEL)
     draw(task, fold_one_level<float>, (const FoldConstants<float>*)task.cloth);
   else if (task.step == TWO_LEVELS)
     draw(task, fold_two_levels<float>, (const Levels<float>*)task.cloth);
-  else if (task.step == LIFT_ALONE)
-    draw(task, lift_alone<float>, (const Levels<float>*)task.cloth);
-  else if (task.step == SWING)
-    draw_swing(task, *sizes);
   else
-    quantise(task.vertices, sizes->vertices, float(sizes->number), (uint16_t*)task.folded, (float*)task.outcome);
+    draw(task, lift_alone<float>, (const Levels<float>*)task.cloth);
 }

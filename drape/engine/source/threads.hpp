@@ -24,6 +24,23 @@ INLINE Range each(int64_t count) { return {0, count}; }
 INLINE Range each_block(int64_t first, int64_t last) { return {first, last}; }
 INLINE Range each_block(int64_t count) { return {0, count}; }
 
+// Calls visit(block, part) for so many parts of each block. Where one kind of parts needs what another has written, the
+// first are visited before the second: of a block, so that one piece of memory serves all blocks (piece_of tells which,
+// and there are pieces_of(blocks)), or on a card of all blocks.
+template <class Visit> INLINE void visit_parts(int64_t blocks, int64_t parts, Visit visit) {
+  for (int64_t block = 0; block < blocks; ++block)
+    for (int64_t part = 0; part < parts; ++part) visit(block, part);
+}
+template <class First, class Second>
+INLINE void visit_twice(int64_t blocks, int64_t parts, First first, int64_t others, Second second) {
+  for (int64_t block = 0; block < blocks; ++block) {
+    for (int64_t part = 0; part < parts; ++part) first(block, part);
+    for (int64_t part = 0; part < others; ++part) second(block, part);
+  }
+}
+INLINE int64_t piece_of(int64_t) { return 0; }
+INLINE int64_t pieces_of(int64_t) { return 1; }
+
 // What all threads have together, of what each of them has.
 template <class N> INLINE N sum_of_all(N own) { return own; }
 template <class N> INLINE N most_of_all(N own) { return own; }

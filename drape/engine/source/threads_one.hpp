@@ -73,6 +73,17 @@ INLINE Range each(int64_t count) { return {0, count, 1}; }
 INLINE Range each_block(int64_t first, int64_t last) { return {first, last, ROW_THREADS}; }
 INLINE Range each_block(int64_t count) { return {0, count, ROW_THREADS}; }
 
+template <class Visit> INLINE void visit_parts(int64_t blocks, int64_t parts, Visit visit) {
+  for (int64_t each_part : each_block(blocks * parts)) visit(each_part / parts, each_part % parts);
+}
+template <class First, class Second>
+INLINE void visit_twice(int64_t blocks, int64_t parts, First first, int64_t others, Second second) {
+  visit_parts(blocks, parts, first);
+  visit_parts(blocks, others, second);
+}
+INLINE int64_t piece_of(int64_t block) { return block; }
+INLINE int64_t pieces_of(int64_t blocks) { return blocks; }
+
 #ifdef __CUDACC__
 // The numbers of all threads joined in one order, the same in every run.
 template <class N, class Join> INLINE N joined_of_all(N own, Join join) {

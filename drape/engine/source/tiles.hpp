@@ -17,7 +17,7 @@
 #pragma once
 #include "dense_rows.hpp"
 
-#if defined(__x86_64__) && defined(__AVX512F__)
+#if defined(__x86_64__) && defined(__AVX512F__) && !defined(ONE_LANE)
 #define WITH_TILES __attribute__((target("amx-tile,amx-bf16")))
 
 constexpr int TILE = 256;                         // pairs of halves, or float32 numbers, of a tile

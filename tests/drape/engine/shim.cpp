@@ -1,5 +1,5 @@
-// A driver of NVIDIA's that has no card: its entry points over this machine's memory. Launches are given to draw, which
-// tests set to the engine's emulation of threads. A call fails, or stops for a while, on command.
+// A driver of NVIDIA's that has no card: its entry points over this machine's memory. Launches are given to folds and to
+// frames, which tests set to the engine's emulation of threads. A call fails, or stops for a while, on command.
 #include <chrono>
 #include <cstdint>
 #include <cstdlib>
@@ -11,7 +11,8 @@ namespace {
 struct State {
   int version = 13000, cards = 1, major = 9, minor = 0;
   uint64_t free_bytes = uint64_t(8) << 30, hash = 0;
-  void (*draw)(uint64_t tasks, int64_t count, int64_t threads, int64_t backwards) = nullptr;
+  void (*folds)(uint64_t tasks, int64_t count, int64_t threads, int64_t backwards) = nullptr;
+  void (*frames)(uint64_t tasks, int64_t count, int64_t threads, int64_t backwards) = nullptr;
   int64_t backwards = 0, after = 0, launches = 0;
   int code = 0;
   double stops_s = 0;
@@ -34,8 +35,9 @@ void shim_reset() { state = State(); }
 void shim_set(int version, int cards, int major, uint64_t free_bytes, uint64_t hash) {
   state.version = version, state.cards = cards, state.major = major, state.free_bytes = free_bytes, state.hash = hash;
 }
-void shim_draws_by(void (*draw)(uint64_t, int64_t, int64_t, int64_t), int64_t backwards) {
-  state.draw = draw, state.backwards = backwards;
+void shim_draws_by(void (*folds)(uint64_t, int64_t, int64_t, int64_t),
+                   void (*frames)(uint64_t, int64_t, int64_t, int64_t), int64_t backwards) {
+  state.folds = folds, state.frames = frames, state.backwards = backwards;
 }
 // The call of this name returns the code once it has been made so often, after so many seconds.
 void shim_fails(const char* name, int code, int64_t after, double stops_s) {
@@ -48,7 +50,10 @@ int cuDriverGetVersion(int* version) { *version = state.version; return 0; }
 int cuDeviceGetCount(int* count) { *count = state.cards; return 0; }
 int cuDeviceGet(int* device, int number) { *device = number; return 0; }
 int cuDeviceGetName(char* name, int size, int) { strncpy(name, "Card of paper", size_t(size)); return 0; }
-int cuDeviceGetAttribute(int* value, int which, int) { *value = which == 75 ? state.major : state.minor; return 0; }
+int cuDeviceGetAttribute(int* value, int which, int) {
+  *value = which == 75 ? state.major : which == 76 ? state.minor : 4;
+  return 0;
+}
 int cuDevicePrimaryCtxRetain(void** context, int) { *context = &state; return 0; }
 int cuCtxSetCurrent(void*) { return 0; }
 int cuMemGetInfo_v2(size_t* free_bytes, size_t* whole) { *free_bytes = *whole = state.free_bytes; return 0; }
@@ -73,12 +78,18 @@ int cuModuleGetGlobal_v2(uint64_t* address, size_t* bytes, void*, const char*) {
   *address = uint64_t(&state.hash), *bytes = 8;
   return 0;
 }
-int cuModuleGetFunction(void** function, void*, const char*) { *function = &state; return 0; }
-int cuLaunchKernel(void*, unsigned count, unsigned, unsigned, unsigned threads, unsigned, unsigned, unsigned, void*,
+int cuModuleGetFunction(void** function, void*, const char* name) {
+  *function = std::string(name) == "drape_frames" ? (void*)&state.frames : (void*)&state.folds;
+  return 0;
+}
+int cuLaunchKernel(void* function, unsigned count, unsigned, unsigned, unsigned threads, unsigned, unsigned, unsigned, void*,
                    void** given, void**) {
   CALL(cuLaunchKernel)
   ++state.launches;
-  state.draw(*(const uint64_t*)given[0], count, threads, state.backwards);
+  if (function == (void*)&state.frames)
+    state.frames(*(const uint64_t*)given[0], *(const int64_t*)given[1], threads, state.backwards);
+  else
+    state.folds(*(const uint64_t*)given[0], count, threads, state.backwards);
   return 0;
 }
 int cuEventCreate(void** event, unsigned) { *event = &state; return 0; }

@@ -13,11 +13,11 @@ import pytest
 from benchmarks.cases import FPS, at_rate
 from benchmarks.served import Stream, plan_of
 from drape.catalog import find_motions
-from drape.engine.calls import call, call_with_scratch
+from drape.engine.calls import call_with_scratch
 from drape.engine.card_frames import CardRecord, Frames, Pool
 from drape.engine.library import LANES
 from drape.engine.packer import Record
-from drape.live import fold_step, swing_step
+from drape.live import fold_step
 from drape.live.card import for_card, panel_levels
 from drape.live.clock import Frame
 from drape.live.fold_step import FoldEffort
@@ -131,53 +131,6 @@ def test_a_rough_frame_among_colliders_is_the_engines(tank, still, rng, monkeypa
     free, _, _ = tank.fold(None, replace(still, vertices=rough), effort)
     assert beside.frames == 4
     assert np.abs(vertices - free).max() > 0.005
-
-
-def test_swing_on_a_card_is_the_engines(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
-    """A dress in a walk, whose first frame has no past."""
-    pool, off_m = Pool(paper_card(), 256 << 20), []
-
-    def beside(name: str, dtype: Any, *given: Any) -> int:
-        vertices, _, past, around, cloth, share, after, out = given
-        found = []
-        for backwards in (False, True):
-            turn_threads(backwards)
-            frames, records = Frames(pool), [CardRecord(pool, one) for one in (past, around, cloth, after)]
-            frames.add(name, vertices, *records[:3], None, records[3], number=share)
-            frames.draw(THREADS)
-            ((moved, told),) = frames.drawn()
-            found.append([moved, told[:1], *records[3].arrays()])
-            for one in (frames, *records):
-                one.give()
-        returned = call_with_scratch(name, dtype, *given)
-        assert [one.tobytes() for one in found[0]] == [one.tobytes() for one in found[1]], "two threads race"
-        assert found[0][1][0] == returned
-        wanted = [out if returned else found[0][0], *after.record.arrays]
-        for one, other in zip([found[0][0], *found[0][2:]], wanted, strict=True):
-            off_m.append(np.abs(np.nan_to_num(one) - np.nan_to_num(other)).max(initial=0.0))
-        return returned
-
-    monkeypatch.setattr(swing_step, "call_with_scratch", beside)
-    plan = plan_of(runtime, [shipped("dress")], tier="instant", fabric="jersey", motion=1.0)
-    stream = Stream(plan, runtime.body.shape_count, staged=True)
-    for number, pose in enumerate(at_rate(read_motion(find_motions(["walk"])[0]), FPS).poses[:6]):
-        stream.pose(pose, number / FPS)
-    assert len(off_m) > 6 and max(off_m) <= 1e-7
-
-
-def test_coordinates_on_a_card_are_the_engines(rng: np.random.Generator):
-    positions, wanted, box = (
-        rng.normal(size=(500, 3)).astype(np.float32),
-        np.empty((500, 3), np.uint16),
-        np.empty(6, np.float32),
-    )
-    call("quantise", np.float32, positions, 500, 65535.0, wanted, box)
-    frames = Frames(Pool(paper_card(), 64 << 20))
-    frames.add("quantise", positions, *[None] * 5, number=65535.0)
-    frames.draw(THREADS)
-    ((found, told),) = frames.drawn()
-    assert found.reshape(-1).view(np.uint16)[:1500].tobytes() == wanted.tobytes()
-    assert told.view(np.float32)[:6].tobytes() == box.tobytes()
 
 
 def test_a_solve_of_a_card_waits_twice_a_level(tank: TwoLevel):  # noqa: F811
