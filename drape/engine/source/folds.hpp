@@ -7,7 +7,7 @@
 //
 // and steps of the whole take from x what is stretched beside the frame before (carry.hpp). Rounds follow: steps of the
 // whole cloth, each from x + m v with the momentum m, and sweeps of vertex block descent. v is the way of the last
-// step. It is kept from frame to frame, so that the descent has the memory of a heavy ball. The lift ends the frame,
+// step. It is kept from frame to frame, so that the descent has the memory of a heavy ball. Lift and limit end a frame,
 // and the new memory is r = R (x - X), u = R v / dt.
 #pragma once
 #include "carry.hpp"

@@ -12,7 +12,7 @@
 // place that moves slowly: what rests would otherwise never settle, since what is forgotten comes back crumpled. No
 // contact with the skin is looked for on the fine cloth: its planes are those of the sample that its coarse vertex is
 // at, blended anew.
-// Cloth beside cloth is looked at where the coarse vertex is near other cloth (fine_room.hpp). The lift ends the frame.
+// Cloth beside cloth is looked at where the coarse vertex is near other cloth (fine_room.hpp). Lift and limit are last.
 #pragma once
 #include "fine_room.hpp"
 #include "folds.hpp"

@@ -1,10 +1,10 @@
 // The limit of strain: what the lift tears or presses together is shared out over the cloth beside it.
 //
-// The lift moves every vertex by itself. Where skin crosses itself, in a lap or behind a knee, planes of neighbours look
-// to opposite sides, and a frame would end with edges of twice their length, with which the next one begins. So in each
-// of some passes a vertex goes half of the way by which an edge is longer or shorter than the limit allows, the mean
-// over its edges of which that is so (Provot 1995, "Deformation Constraints in a Mass-Spring Model to Describe Rigid
-// Cloth Behaviour", Graphics Interface). Other edges stay as they are, slim cloth over a seat among them.
+// The lift moves every vertex by itself. Where skin crosses itself, in a lap or behind a knee, planes of neighbours
+// look to opposite sides, and a frame would end with edges of twice their length, with which the next one begins. So
+// in each of some passes a vertex goes half of the way by which an edge is longer or shorter than the limit allows, the
+// mean over its edges of which that is so (Provot 1995, "Deformation Constraints in a Mass-Spring Model to Describe
+// Rigid Cloth Behaviour", Graphics Interface). Other edges stay as they are.
 #pragma once
 #include "sweeps.hpp"
 
