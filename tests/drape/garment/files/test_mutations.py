@@ -15,7 +15,7 @@ import pytest
 from tests.architecture.repository import ROOT
 from tests.drape.files.test_gltf_compressed import draco_gltf, meshopt_gltf
 from tests.drape.garment.files.test_fbx_mesh import POLYGONS, SQUARE, UV
-from tests.drape.garment.files.test_looks import OBJ, ZIP, glb_of, picture, whole, zipped
+from tests.drape.garment.files.test_looks import OBJ, ZIP, glb_of, picture, told_size, whole, zipped
 from tests.drape.garment.files.test_usd_looks import PICTURES, usda
 from tests.fixtures.fbx_writer import fbx_of
 
@@ -65,7 +65,7 @@ def claiming_files() -> dict[str, bytes]:
     deep["scenes"] = [{"nodes": [0]}]
     for view in wide["bufferViews"]:
         view["extensions"]["EXT_meshopt_compression"]["count"] = 10_000_000
-    bomb = picture(size=(12_000, 12_000))
+    bomb = told_size(12_000, 12_000)
     return {
         "many.gltf": json.dumps(many).encode(),
         "deep.gltf": json.dumps(deep).encode(),
