@@ -1,14 +1,14 @@
 """Who wore a garment that came with nothing said: its unit, axes and place, and the arms and shape of the body in it.
 
 Every reading of the file (unit, up axis, facing) is laid over the known bodies at every height, and judged by cloth in
-the skin, cloth far from it and bones that cloth does not go round (``wearer_fields``). The best are fitted: shape, pose
+the skin, cloth far from it and bones that cloth does not go round (``wearer_guess``). The best are fitted: shape, pose
 and place of the standard body by ``inside.fit_from``. Where no unit fits, sizes between the units are tried.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,28 +26,14 @@ from drape.garment.mesh_checks import UNITS_M
 from drape.garment.registration import FREE_JOINTS, posed_by, posed_normals, start_parameters
 from drape.garment.searched_cloth import SearchedCloth
 from drape.garment.told_reading import NOTHING_TOLD, ToldReading
-from drape.garment.wearer_fields import CELL_M, KNOWN, Field, enclosed, known_fields, thin_body
-from drape.garment.wearer_judge import (
-    BAND_M,
-    BAND_WEIGHT,
-    HANGING_OVER_ARMS,
-    ODD_EMPTY,
-    ODD_ORIGIN,
-    ODD_PIERCED,
-    ODD_PLACE,
-    ODD_SIDE,
-    UNIT_INSIDE,
-    judge,
-    misplaced,
-    one_sided,
-)
+from drape.garment.wearer_fields import KNOWN, Field, known_fields, thin_body
+from drape.garment.wearer_guess import Guess, guesses_of
+from drape.garment.wearer_judge import UNIT_INSIDE, judge
 from drape.garment.wearer_reading import USUAL_FRONTS, Reading, WearerCandidate, readings_of
 
 FREE_EXTENTS_M = 0.3 * 1.2 ** np.arange(10)  # tried where no unit fits
 FIT_COUNT = 500  # points on the cloth
-RISE_CELLS, DEPTH_CELLS = 2, np.arange(-4, 5, 2, dtype=np.int32)
-PLACES, READINGS, PIERCED_COUNT, FINALISTS, RIVALS, WINNERS = 2, 8, 40, 6, 2, 3
-FAIR = 0.35  # a unit whose best guess is worse by more is none: cloth that hangs far away tells little to guesses
+FINALISTS, RIVALS, WINNERS = 6, 2, 3
 CLEARLY, WORSE = 0.1, 0.03  # a fit that is worse by this after a few steps stays worse; one that went astray
 FIRST_STEPS, LAST_STEPS, FREE_STEPS, LOCK = 5, 15, 12, 0.5
 # Arms that hang so far below the horizontal are tried too, at such a cost.
@@ -55,7 +41,6 @@ ARM_LIFTS_RAD, ODD_ARMS = (1.5, 1.35, 1.1, 0.85, 0.6, 0.3, -0.4), 0.02
 # Arms before the body are asked for where straight ones lie so badly in sleeves; upper arms turn in by such a share.
 BENT_ENERGY, BENT_LIFTS_RAD, BENDS_RAD, BENT_INWARD = 0.25, (1.35, 1.0, 0.6), (0.8, 1.5), 0.2
 SLACK = 0.1  # wide legs and hems would slide up to where the body is wider; what carries a garment is its top
-AT_ONCE = np.zeros(1, dtype=np.int32)
 # What a metre from its place is worth, where the file's origin is at the root, on the floor, or anywhere. Roots are
 # higher or lower in other makers' bodies.
 ORIGIN_PRIOR_M = {"root": np.array([0.2, 0.06, 0.2]), "floor": np.array([0.2, 1e-4, 0.2]), "": np.full(3, 1e-4)}
@@ -82,7 +67,7 @@ def find_wearers(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING
     usual = [one for one in named if told.front or one.front == USUAL_FRONTS.get(one.up, ("",))[0]]
     if (plain := _on_standard(cloth, body, usual)) is not None:
         return [replace(plain, sure=_held(cloth, plain))]
-    guesses = _guesses(cloth, known_fields(body), named)
+    guesses = guesses_of(cloth, known_fields(body), named)
     if guesses and not (keep := _without_pits(mesh, known_fields(body), guesses[0])).all():
         return find_wearers(mesh.take_faces(keep), body, told)
     found = _fitted(cloth, body, guesses)
@@ -91,7 +76,7 @@ def find_wearers(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING
     if told.unit is None and not fits:
         sizes = [("free", extent / cloth.extent) for extent in FREE_EXTENTS_M if cloth.may_be(extent / cloth.extent)]
         free = [one for one in readings_of(sizes, told.up, told.front) if told.up or one.up in ("+y", "+z")]
-        found += _fitted(cloth, body, _guesses(cloth, known_fields(body), free))
+        found += _fitted(cloth, body, guesses_of(cloth, known_fields(body), free))
     least = {one.reading: min(_rank(other) for other in found if other.reading == one.reading) for one in found}
     found.sort(key=lambda one: (least[one.reading], bool(one.fault), one.among))
     sure = [_sureness(one, found) * (1.0 if number else _held(cloth, one)) for number, one in enumerate(found)]
@@ -139,113 +124,15 @@ def the_wearer(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING_T
     return found[0]
 
 
-@dataclass(frozen=True, eq=False)
-class _Guess:
-    """The known body ``number`` at ``-move`` [m] in a reading's frame, its energy, and where the file's origin is."""
-
-    reading: Reading
-    number: int
-    move: np.ndarray
-    energy: float
-    origin: str
-
-
-def _guesses(cloth: SearchedCloth, fields: Sequence[Field], readings: Sequence[Reading]) -> list[_Guess]:
-    """Places of the known bodies in every reading, the best of them judged by what they enclose too, best first."""
-    laid = each(lambda one: _over_arms(cloth, fields, one) + _places(cloth, fields, one), readings)
-    places = {reading: found for reading, found in zip(readings, laid, strict=True) if found}
-
-    def judged(one: _Guess) -> _Guess:
-        bones = fields[one.number].bones
-        points = one.reading.apply(cloth.points) + one.move
-        share, nearest = enclosed(points, bones)
-        odd = ODD_SIDE * one_sided(bones, nearest) + ODD_PLACE * misplaced(points, bones, nearest, cloth.piece)
-        return replace(one, energy=one.energy + 1.0 - float(share.mean()) + odd)
-
-    def threaded(one: _Guess) -> _Guess:
-        joints = fields[one.number].bones.joints - one.move
-        odd = 0.5 * ODD_PIERCED * len(cloth.pierced(one.reading, joints))
-        return replace(one, energy=one.energy + odd + ODD_EMPTY * cloth.empty(one.reading, joints))
-
-    def sorted_by(known: Callable[[_Guess], _Guess], guesses: list[_Guess]) -> list[_Guess]:
-        return sorted(each(known, guesses), key=lambda one: one.energy)
-
-    tops = sorted_by(judged, [one for found in places.values() for one in found[:PLACES]])
-    best = list(dict.fromkeys(one.reading for one in tops))
-    units = {one.unit for one in best[:READINGS]}
-    best = best[:READINGS] + [one for one in best[READINGS:] if one.unit not in units]
-    every = sorted_by(judged, [one for reading in best for one in places[reading]])
-    shown = {one.reading.unit for one in every[:PIERCED_COUNT]}
-    fair = [one for one in every if one.energy < every[0].energy + FAIR and one.reading.unit not in shown]
-    by_unit = {one.reading.unit: one for one in reversed(fair)}
-    return sorted_by(threaded, every[:PIERCED_COUNT] + list(by_unit.values()))
-
-
-def _places(cloth: SearchedCloth, fields: Sequence[Field], reading: Reading) -> list[_Guess]:
-    """The best heights of each known body in a reading, by distances alone."""
-    points = reading.apply(cloth.few)
-    low, high = points.min(axis=0), points.max(axis=0)
-    weight = np.where(points[:, 1] > high[1] - BAND_M, BAND_WEIGHT, 1.0).astype(np.float32)
-    weight /= weight.sum()
-    extra = reading.oddness + cloth.oddness(reading)
-    found = []
-    for number, field in enumerate(fields):
-        start, rises = _rises(field, low, high)
-        if not len(rises):
-            continue
-        cost = field.costs(points + start, rises, DEPTH_CELLS, weight)
-        best = cost.min(axis=1)
-        for rise in np.argsort(best)[:PLACES]:
-            move = start + CELL_M * np.array([0, rises[rise], DEPTH_CELLS[cost[rise].argmin()]])
-            found.append(_Guess(reading, number, move, float(best[rise]) + extra + KNOWN[number][3] + ODD_ORIGIN, ""))
-        for origin, height in (("root", 0.0), ("floor", field.floor_m)):
-            move = np.array([0.0, height, 0.0])
-            if field.floor_m - 0.1 < low[1] + height and high[1] + height < field.top_m + 0.2:
-                cost = float(field.costs(points + move, AT_ONCE, AT_ONCE, weight)[0, 0])
-                found.append(_Guess(reading, number, move, cost + extra + KNOWN[number][3], origin))
-    return sorted(found, key=lambda one: one.energy)
-
-
-def _over_arms(cloth: SearchedCloth, fields: Sequence[Field], reading: Reading) -> list[_Guess]:
-    """The best place of a body whose arms the cloth covers without sleeves, by what does not hang from them: at most
-    one, in a reading that is usual."""
-    points, found = reading.apply(cloth.few), []
-    low, high = points.min(axis=0), points.max(axis=0)
-    wall = 1.0 - np.abs(cloth.few_normals @ reading.turn[1])
-    weight = np.where(points[:, 1] > high[1] - BAND_M, BAND_WEIGHT, 1.0 - HANGING_OVER_ARMS * wall)
-    weight = (weight / len(weight)).astype(np.float32)
-    for number, field in enumerate(fields if reading.unit != "free" and not reading.oddness else ()):
-        start, rises = _rises(field, low, high)
-        if not len(rises):
-            continue
-        cost = field.costs(points + start, rises, DEPTH_CELLS, weight)
-        rise, depth = np.unravel_index(cost.argmin(), cost.shape)
-        move = start + CELL_M * np.array([0, rises[rise], DEPTH_CELLS[depth]])
-        if cloth.covers(reading, field.bones, move=move):
-            energy = float(cost[rise, depth]) + cloth.oddness(reading) + KNOWN[number][3] + ODD_ORIGIN
-            found.append(_Guess(reading, number, move, energy, ""))
-    return sorted(found, key=lambda one: one.energy)[:1]
-
-
-def _rises(field: Field, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where cloth between the corners ``low`` and ``high`` [m] (3,) begins to rise along a body, as a move (3,), and
-    the cells (R,) by which it rises; none where it is too high for the body."""
-    middle = 0.5 * (low + high)
-    start = np.array([-middle[0], field.floor_m - 0.06 - low[1], -middle[2]])
-    room = field.top_m + 0.2 - (high[1] + start[1])
-    count = max(room, 0.0) / CELL_M + 1 if room >= -0.5 else 0
-    return start, np.arange(0, count, RISE_CELLS).astype(np.int32)
-
-
-def _without_pits(mesh: GarmentMesh, fields: Sequence[Field], guess: _Guess) -> np.ndarray:
+def _without_pits(mesh: GarmentMesh, fields: Sequence[Field], guess: Guess) -> np.ndarray:
     """Which faces (F,) are of no pit by the bones of a ``guess``: fits would keep a neck out of a closed collar."""
     points = guess.reading.apply(mesh.vertices)
     return without_pits(points, mesh.faces, fields[guess.number].bones.joints - guess.move)
 
 
-def _fitted(cloth: SearchedCloth, body: BodyModel, guesses: Sequence[_Guess]) -> list[WearerCandidate]:
+def _fitted(cloth: SearchedCloth, body: BodyModel, guesses: Sequence[Guess]) -> list[WearerCandidate]:
     """The best of the ``guesses``, fitted: one for each reading."""
-    kept: list[_Guess] = []
+    kept: list[Guess] = []
     for one in guesses:
         rivals = [other for other in kept if other.reading == one.reading]
         alike = [other for other in kept if other.reading.unit == one.reading.unit]
@@ -319,7 +206,7 @@ class _Start(NamedTuple):
     origin: str
 
     @classmethod
-    def of(cls, guess: _Guess, field: Field) -> _Start:
+    def of(cls, guess: Guess, field: Field) -> _Start:
         parameters = np.concatenate([field.parameters[:-3], field.parameters[-3:] - guess.move])
         return cls(guess.reading, parameters, KNOWN[guess.number][3], guess.origin)
 

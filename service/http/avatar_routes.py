@@ -31,6 +31,7 @@ from service.http import schemas
 from service.http.answers import BINARY, GLB, JSON, PNG, json_answer
 from service.http.garment_routes import LEAST, MOST, USUAL
 from service.http.garment_schemas import CoveredFaces, CoveredPrimitive
+from service.http.job_schemas import JobInfo
 from service.http.json_body import json_text, read_document, validate_document
 from service.http.openapi import BYTES, KNOWN, body_schema, responses
 from service.http.problems import check_query
@@ -84,7 +85,7 @@ async def add_avatar(
     client: ClientHere,
     name: Annotated[str | None, Query(max_length=120, description="The name of the file or of the avatar.")] = None,
     alive: Annotated[bool, Query(description="Whether its own clothes become garments, which takes seconds.")] = False,
-) -> schemas.JobInfo:
+) -> JobInfo:
     """Uploads a character with a skeleton and a skin. The body of the request is the raw bytes of a GLB or VRM file.
     The answer is a job: once it is done, its ``avatar`` is the id.
     """
@@ -128,7 +129,7 @@ async def avatar(avatar_id: str, state: StateHere, client: ClientHere) -> Respon
 )
 async def change_avatar(
     avatar_id: str, request: Request, response: Response, state: StateHere, client: ClientHere
-) -> schemas.JobInfo:
+) -> JobInfo:
     """Corrects which node is which joint, and which part is what. The service then makes the avatar anew from its file.
     The answer is a job: ask for its state until it has ended.
     """

@@ -20,6 +20,7 @@ from service.exact.clip_queue import ClipJob as ExactJob
 from service.exact.clip_queue import Work
 from service.http import schemas
 from service.http.clip_jobs import RequestedClip
+from service.http.job_schemas import FrameTold, JobInfo
 
 if TYPE_CHECKING:
     from service.guard.key_file import Client
@@ -110,20 +111,20 @@ async def finished(job: ExactJob, state: State, client: Client) -> tuple[Request
     return asked_for, batch, headers
 
 
-def exact_job_info(job: ExactJob) -> schemas.JobInfo:
+def exact_job_info(job: ExactJob) -> JobInfo:
     """The answer about ``job``."""
     accepted = job.accepted
-    told = [schemas.FrameTold(frame=number, **figures) for number, figures in sorted(job.figures.items())]
+    told = [FrameTold(frame=number, **figures) for number, figures in sorted(job.figures.items())]
     about = {"stage": job.stage, "share": round(job.share, 4), "problem": job.problem, "frames": accepted.frames}
     notes = [] if job.state != "done" else [_unsolved(frame) for frame in told if _is_unsolved(frame)]
-    return schemas.JobInfo(id=accepted.id, name=accepted.name, state=job.state, told=told, notes=notes, **about)
+    return JobInfo(id=accepted.id, name=accepted.name, state=job.state, told=told, notes=notes, **about)
 
 
-def _is_unsolved(frame: schemas.FrameTold) -> bool:
+def _is_unsolved(frame: FrameTold) -> bool:
     return frame.crossings > 0 or frame.force_share > TOLERANCE
 
 
-def _unsolved(frame: schemas.FrameTold) -> str:
+def _unsolved(frame: FrameTold) -> str:
     """The sentence about a frame that is not at rest, or passes through itself."""
     return (
         f"Frame {frame.frame} is not solved: {frame.crossings} pairs of triangles cross, the cloth lies"

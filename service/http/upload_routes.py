@@ -10,8 +10,9 @@ from fastapi import APIRouter, Query, Request, Response
 from drape.errors import BodyError, InputError, NotFound, TooLarge
 from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
 from service.errors import Full, TooSlow
-from service.http import exact_clips, schemas
+from service.http import exact_clips
 from service.http.answers import BINARY, JSON
+from service.http.job_schemas import JobInfo
 from service.http.json_body import content_type
 from service.http.openapi import BYTES, responses
 from service.http.problems import check_query
@@ -48,7 +49,7 @@ async def upload(
     format: Annotated[
         str | None, Query(max_length=10, description=f"The format, if the name does not say it: {listed().lower()}.")
     ] = None,
-) -> schemas.JobInfo:
+) -> JobInfo:
     """Uploads a garment. The body of the request is the raw bytes of its file, or a form (multipart/form-data) of a
     mesh file and the files that it names. The answer is a job: ask for its state until it has ended.
     """
@@ -66,7 +67,7 @@ async def upload(
 
 
 @router.get("/jobs/{job_id}", responses=responses(NotFound))
-async def job(job_id: str, state: StateHere, client: ClientHere) -> schemas.JobInfo:
+async def job(job_id: str, state: StateHere, client: ClientHere) -> JobInfo:
     """Returns the state of an upload, or of a clip of tier exact."""
     clip = state.exact.find(job_id, client.name)
     return job_info(state.uploads.get(job_id, client.name)) if clip is None else exact_clips.exact_job_info(clip)
@@ -99,10 +100,10 @@ def _name_and_format(name: str | None, file_format: str | None, content_type: st
     return stem, chosen
 
 
-def job_info(job: Job) -> schemas.JobInfo:
+def job_info(job: Job) -> JobInfo:
     made = job.results[-1] if job.results else None
     fields = {"stage": job.stage, "share": round(job.share, 2), job.kind: made, "problem": job.problem}
     fields |= {"notes": list(job.notes), "wearer": job.wearer}
     if job.kind == "garment":
         fields["garments"] = list(job.results)
-    return schemas.JobInfo(id=job.id, name=job.name, state=job.state, **fields)
+    return JobInfo(id=job.id, name=job.name, state=job.state, **fields)

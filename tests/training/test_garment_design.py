@@ -11,7 +11,8 @@ from drape.garment.cache import load_garment
 from drape.geometry.closest import signed_distance
 from tests.drape.cloth.cloth_shapes import grid
 from tests.training.training_setup import body
-from training.garment_design import DESIGNS, SIX, SLIVER_SHARE, build_design, cut_mesh, main, vary_design
+from training.garment_design import DESIGNS, SIX, SLIVER_SHARE, build_design, main, vary_design
+from training.mesh_cut import cut_mesh
 
 OPENINGS = {"tshirt": 4, "longsleeve": 4, "tank": 4, "dress": 4, "trousers": 3, "shorts": 3, "skirt": 2}
 

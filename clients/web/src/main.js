@@ -24,7 +24,7 @@ import { Sizes } from "./sizes.js";
 import { Stage } from "./stage.js";
 import { Uploads } from "./uploads.js";
 import { VMC, Vmc } from "./vmc.js";
-import { element, failing, hush, say, title } from "./words.js";
+import { element, failing, hush, say, tellOffline, title } from "./words.js";
 
 const SEND_RATE = 60; // poses per second at most
 const SHEET_PX = 760; // as in style.css
@@ -208,11 +208,6 @@ async function take({ kind, parts }) {
   else if (kind === "motion") await takeMotion(file);
   else if (kind === "beside") say(`${file.name} belongs to a garment: drop it together with its mesh.`, { bad: true });
   else say(`${file.name} is none of OBJ, GLB, PLY, STL, USD, FBX, ZIP (garments), GLB, VRM (characters), BVH, NPZ, VRMA, GLB, FBX (motions).`, { bad: true });
-}
-
-function tellOffline(refusal) {
-  element("offline").hidden = refusal === null;
-  if (refusal) element("offline-words").textContent = refusal.message;
 }
 
 // Skin below, and own clothes that are cloth now or come off, change with the first picture of what is worn.

@@ -14,6 +14,12 @@ export function hush(by) {
   if (spokenBy === by) say("", { by });
 }
 
+// refusal: why there is no service, or null where there is one.
+export function tellOffline(refusal) {
+  element("offline").hidden = refusal === null;
+  if (refusal) element("offline-words").textContent = refusal.message;
+}
+
 // A task whose failure is told.
 export const failing = (task) => async (...values) => {
   try {
