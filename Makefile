@@ -100,11 +100,11 @@ browser:
 	@scripts/build_page $(WEB) --optional
 	@scripts/find_chromium
 
-# They are fetched while the engine is compiled. Checks run beside the tests, since most of them use one core, and are
+# They are fetched while the engine is compiled. Checks run beside the tests, in the time in which these wait, and are
 # printed after them. Types of the tests themselves are left to make check: they take as long as the product's.
 test:
 	@$(MAKE) --no-print-directory -j2 setup browser
-	@tests=0; checked=0; $(MAKE) --no-print-directory check TYPED="$(PRODUCT)" > $(VENV)/check.log 2>&1 & checks=$$!; \
+	@tests=0; checked=0; nice -n 19 $(MAKE) --no-print-directory check TYPED="$(PRODUCT)" > $(VENV)/check.log 2>&1 & checks=$$!; \
 	$(PYTEST) -m "not long" $(ARGS) \
 	|| tests=$$?; wait $$checks || checked=$$?; cat $(VENV)/check.log; [ $$tests = 0 ] && [ $$checked = 0 ]
 

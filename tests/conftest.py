@@ -147,6 +147,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items.sort(key=lambda item: places.get(item.path.relative_to(ROOT).parts[1], len(places)))
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session: pytest.Session) -> Iterator[Any]:
+    """What is imported stays to the end: the collector would look through it time and again, meanwhile and later."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.collect()
+        gc.freeze()
+
+
 @contextmanager
 def _running_now() -> Iterator[None]:
     """For ``_skip_what_runs``."""
@@ -189,9 +201,9 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
 def process_unchanged() -> Iterator[None]:
     """A test file leaves the process as it was: lines of INFO that are kept hold what they tell of, and what is frozen
     is never collected, both of which other files' tests of leaks would see."""
-    before = logging.getLogger().level, gc.get_freeze_count() > 0
+    level, frozen = logging.getLogger().level, gc.get_freeze_count()
     yield
-    assert (logging.getLogger().level, gc.get_freeze_count() > 0) == before
+    assert logging.getLogger().level == level and gc.get_freeze_count() <= frozen
 
 
 @pytest.fixture
