@@ -146,6 +146,7 @@ def run(tmp_path_factory):
     coarse += ["--meshes", "0.05"]  # one round; tests of the pipeline have more
     outcomes = []
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("recovery.run.report_pictures.VIEWS", (("front", 0.0),))
         patch.setattr(
             command, "run_job", lambda *given, **more: outcomes.append(run_job(*given, **more)) or outcomes[0]
         )
