@@ -39,10 +39,15 @@ def me(body: BodyModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def made(opened: drape.Drape, me: Path) -> Joints:
+def dressed(opened: drape.Drape, me: Path) -> drape.Worn:
+    return opened.wear(["tank", "shorts"], on=me, tier="instant")
+
+
+@pytest.fixture(scope="module")
+def made(dressed: drape.Worn) -> Joints:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("drape.distilling.POSES", 4)
-        return drape.distil(opened.wear(["tank", "shorts"], on=me, tier="instant"), [clip(0)], joints=COUNT)
+        return drape.distil(dressed, [clip(0)], joints=COUNT)
 
 
 def test_both_files_hold_the_character_and_each_garment(made: Joints, me: Path, tmp_path: Path):
@@ -64,11 +69,11 @@ def test_a_clip_that_nobody_draped_before_is_near_its_drape(made: Joints):
         assert one["springs"] < 1.3 * one["carried"]
 
 
-def test_the_standard_body_has_no_rig_and_counts_have_limits(opened: drape.Drape, me: Path):
+def test_the_standard_body_has_no_rig_and_counts_have_limits(opened: drape.Drape, dressed: drape.Worn):
     with pytest.raises(drape.DrapeError, match="garments on a character"):
         drape.distil(opened.wear("tank", tier="instant"), [clip(0)])
     with pytest.raises(drape.DrapeError, match="1 to 64"):
-        drape.distil(opened.wear("tank", on=me, tier="instant"), [clip(0)], joints=0)
+        drape.distil(dressed, [clip(0)], joints=0)
 
 
 def test_the_command_refuses_a_vrm_of_a_plain_glb_before_it_works(body: BodyModel, tmp_path: Path, capsys):
