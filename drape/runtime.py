@@ -17,7 +17,7 @@ from drape.stages.tiers import TierSettings, capped, chosen, read_tiers, spared,
 from drape.wire.options import DrapeOptions
 
 if TYPE_CHECKING:
-    from drape.live.card_lane import Lane
+    from drape.live.card_lanes import Lanes
 
 
 class RuntimeSettings(StageSettings, TierSettings, Protocol):
@@ -34,7 +34,7 @@ class Runtime:
         body: BodyModel,
         settings: RuntimeSettings,
         make: Make = call_here,
-        lane: Lane | None = None,
+        lane: Lanes | None = None,
     ) -> None:
         engine.check_body(body)
         self.engine, self.body, self._settings, self._make = engine, body, settings, make

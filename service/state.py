@@ -134,8 +134,8 @@ class State:
                 card_works=lambda: lane.works,
                 card_occupied=lambda: lane.report().occupied,
                 card_queue=lambda: lane.report().queue_s,
-                card_frames=lambda: lane.frames,
-                card_launches=lambda: lane.launches,
+                card_frames=lambda: lane.report().frames,
+                card_launches=lambda: lane.report().launches,
             )
         self.life.works |= {"streams": lambda: streams.runs, "uploads": lambda: uploads.runs}
         self.life.works["exact clips"] = lambda: self.exact.runs

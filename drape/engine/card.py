@@ -42,6 +42,16 @@ def kernels() -> Path | None:
     return next((path for path in paths if path.is_file()), None)
 
 
+def count_cards(driver: str = DRIVER) -> int:
+    """The number of cards that the ``driver`` finds; 0 without one."""
+    try:
+        calls = ctypes.CDLL(driver)
+    except OSError:
+        return 0
+    found = ctypes.c_int()
+    return 0 if calls.cuInit(0) or calls.cuDeviceGetCount(ctypes.byref(found)) else found.value
+
+
 class Card:
     """One NVIDIA card of this machine, ``number`` among them, which holds so many ``groups`` of threads at once.
     A thread calls ``enter`` before anything else.

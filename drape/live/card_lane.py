@@ -11,7 +11,7 @@ import threading
 import time
 import weakref
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
@@ -62,20 +62,16 @@ class Slot:
     """A piece of ``size`` bytes of a lane's card, at an ``address``, as long as somebody has it."""
 
     def __init__(self, lane: Lane, size: int) -> None:
-        self._lane, self.size, self.address = lane, size, lane.take(size)
-
-    def is_of(self, lane: Lane) -> bool:
-        """Whether it is on the card of ``lane``."""
-        return self._lane is lane
+        self.lane, self.size, self.address = lane, size, lane.take(size)
 
     def read(self) -> np.ndarray | None:
         """Returns what is in it (size,) uint8; None if the card is gone."""
         piece = np.empty(self.size, np.uint8)
-        return piece if self._lane.read(self.address, piece) else None
+        return piece if self.lane.read(self.address, piece) else None
 
     def __del__(self) -> None:
         if hasattr(self, "address"):
-            self._lane.give(self.size, self.address)
+            self.lane.give(self.size, self.address)
 
 
 class Asked(Protocol):
@@ -148,6 +144,11 @@ class Lane:
         """Whether frames are the card's."""
         return not self.fault
 
+    @property
+    def free_bytes(self) -> int:
+        """The memory of the card that nobody has taken."""
+        return 0 if self._pool is None else self._pool.free_bytes
+
     def report(self) -> LaneReport:
         """How the lane does."""
         pool, now_s = self._pool, time.monotonic()
@@ -173,7 +174,8 @@ class Lane:
         if self.fault or np.dtype(dtype) != np.float32:
             return call_with_scratch(name, dtype, *given)
         job = _Job(name, given)
-        self.draw([job])
+        self.ask(job)
+        self.await_(job)
         if job.drawn is None:
             return call_with_scratch(name, dtype, *given)
         *_, after, out, told = given
@@ -183,20 +185,22 @@ class Lane:
             to[...] = found
         return 0
 
-    def draw(self, jobs: Sequence[_Job | Asked]) -> None:
-        """Waits until the frames of all ``jobs`` are drawn, or the card has failed."""
-        until_s = time.monotonic() + LOST_S
-        for job in jobs:
-            job.since_s = time.monotonic()
-            with self._lock:
-                self._waiting.append(job)
-            self._queue.put(job)
-        for job in jobs:
-            if not job.done.wait(until_s - time.monotonic()):
-                self._fail(f"{self.card}: expected a frame within {LOST_S} s, got none")
-            with self._lock:
-                if job in self._waiting:
-                    self._waiting.remove(job)
+    def ask(self, job: _Job | Asked) -> None:
+        """Puts a ``job`` into the queue, for which ``await_`` waits."""
+        job.since_s = time.monotonic()
+        with self._lock:
+            self._waiting.append(job)
+            if self.fault:
+                job.done.set()
+        self._queue.put(job)
+
+    def await_(self, job: _Job | Asked) -> None:
+        """Waits until the frames of ``job`` are drawn, or the card has failed."""
+        if not job.done.wait(job.since_s + LOST_S - time.monotonic()):
+            self._fail(f"{self.card}: expected a frame within {LOST_S} s, got none")
+        with self._lock:
+            if job in self._waiting:
+                self._waiting.remove(job)
 
     def read(self, address: int, numbers: np.ndarray) -> bool:
         """Fills the array ``numbers`` with what is at ``address``, from any thread. Returns whether the card works."""
@@ -278,9 +282,10 @@ class Lane:
         assert self._pool is not None
         if piece[1] >= size:
             return piece
+        made = self._pool.take(2 * size), 2 * size  # where there is no room the old one stays
         if piece[1]:
             self._pool.give(piece[0])
-        return self._pool.take(2 * size), 2 * size
+        return made
 
     def _work(self) -> None:
         try:

@@ -18,6 +18,7 @@ from drape.body.feed import BodyFeed
 from drape.engine.card_jobs import FrameLaunch, FrameTemplate, Group
 from drape.engine.packer import Record
 from drape.live.card_lane import Lane, Slot
+from drape.live.card_lanes import Lanes
 from drape.live.clock import step_between
 from drape.live.fold_step import no_arrays, no_past, read_outcome
 from drape.live.swing_step import SwingMemory
@@ -222,18 +223,18 @@ def _made_by(worn: FrameGarment, past: Past) -> str:
 
 
 def draw_by_card(
-    lane: Lane, worn: FrameGarment, pasts: Sequence[Past], moments: Sequence[Sequence[Moment]]
+    lanes: Lanes, worn: FrameGarment, pasts: Sequence[Past], moments: Sequence[Sequence[Moment]]
 ) -> tuple[list[Drawn | None], np.ndarray, np.ndarray]:
     """Computes frames of streams, each stream's one after the other, as ``frame.draw`` does. Returns them, and the
     vertices and steps that ``FrameJob`` has.
 
     Those that the card does not draw are the processor's; what a card has that is gone, they do without.
     """
-    groups: dict[str, list[int]] = {}
+    groups: dict[tuple[str, Lane], list[int]] = {}
     for k, past in enumerate(pasts):
-        groups.setdefault(_made_by(worn, past), []).append(k)
+        groups.setdefault((_made_by(worn, past), lanes.of(past)), []).append(k)
     jobs = [FrameJob(worn, [pasts[k] for k in own], [moments[k] for k in own]) for own in groups.values()]
-    lane.draw(jobs)
+    lanes.draw([(lane, job) for (_, lane), job in zip(groups, jobs, strict=True)])
     if len(jobs) == 1 and False not in jobs[0].drawn:
         return jobs[0].drawn, jobs[0].vertices, jobs[0].steps  # pyright: ignore[reportReturnType]
     begins = np.cumsum([0, *map(len, moments)]).tolist()

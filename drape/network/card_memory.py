@@ -136,7 +136,7 @@ def on_card(lane: Lane, layout: Layout, memory: Any) -> CardMemory | None:
     if name not in (SWING, layout.name):
         return None
     if isinstance(memory, CardMemory):
-        if memory.slot.is_of(lane):
+        if memory.slot.lane is lane:
             return memory
         memory = memory.fetched
     if memory is None:

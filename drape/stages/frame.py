@@ -29,7 +29,7 @@ from drape.stages.swing import Swing
 from drape.wire.messages import BYTE_COUNT, STEP_COUNT
 
 if TYPE_CHECKING:
-    from drape.live.card_lane import Lane
+    from drape.live.card_lanes import Lanes
 
 NO_EFFORT = FoldEffort(0)
 
@@ -136,7 +136,7 @@ def _drawn(
     stages: AtOnce,
     worn: FrameGarment,
     pasts: list[Past],
-    lane: Lane | None,
+    lane: Lanes | None,
     took: Callable[[str, float], None],
 ) -> Iterator[Batch]:
     spent_s, root, frames = [0.0] * len(PARTS), np.empty((batch.count, 3)), list[Drawn]()

@@ -18,7 +18,7 @@ from drape.wanted import go_on
 
 if TYPE_CHECKING:
     from drape.inference.engine import Engine
-    from drape.live.card_lane import Lane
+    from drape.live.card_lanes import Lanes
 
 BODY = ""  # the owner of what is remembered of a body, where others are garments by their digest
 Make = Callable[..., Any]  # calls a function with arguments: here, or in another process while there are streams
@@ -46,7 +46,7 @@ class StageSetup:
     body: BodyModel
     settings: StageSettings
     make: Make = call_here
-    lane: Lane | None = None
+    lane: Lanes | None = None
 
 
 class Stage(StageRules):

@@ -15,11 +15,12 @@ import numpy as np
 from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.engine.card import DRIVER, Card, kernels
+from drape.engine.card import DRIVER, Card, count_cards, kernels
 from drape.errors import DrapeError, NotFound, did_you_mean
 from drape.inference.engine import Engine
 from drape.inference.onnx_runtime import Device
 from drape.live.card_lane import Lane
+from drape.live.card_lanes import Lanes
 from drape.motion.clip import MotionClip
 from drape.motion.grounding import place_on_ground
 from drape.motion.readers import read_motion
@@ -49,18 +50,19 @@ Result = TypeVar("Result")
 log = logging.getLogger("drape.service")
 
 
-def open_lane(driver: str = DRIVER) -> Lane | None:
-    """Returns the lane of this machine's card; None without the extra ``cuda``. A card that cannot be used is told in
+def open_lane(driver: str = DRIVER) -> Lanes | None:
+    """Returns the lanes of this machine's cards; None without the extra ``cuda``. A card that cannot be used is told in
     the log."""
     path = kernels()
     if path is None:
         return None
-    lane = Lane(lambda: Card(path, driver=driver))
-    if lane.works:
-        log.info("card: folds by %s", lane.card)
-    else:
-        log.warning("card: %s", lane.fault)
-    return lane
+    lanes = [Lane(partial(Card, path, number=number, driver=driver)) for number in range(max(count_cards(driver), 1))]
+    for lane in lanes:
+        if lane.works:
+            log.info("card: frames by %s", lane.card)
+        else:
+            log.warning("card: %s", lane.fault)
+    return Lanes(lanes)
 
 
 class DrapeRuntime(Runtime):

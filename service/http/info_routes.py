@@ -29,7 +29,7 @@ from service.watch.probes import PATHS, probe_answer
 from service.watch.prometheus import MEDIA_TYPE
 
 if TYPE_CHECKING:
-    from drape.live.card_lane import Lane
+    from drape.live.card_lanes import Lanes
     from service.watch.probes import Lifecycle
     from service.watch.prometheus import Metrics
 
@@ -63,7 +63,7 @@ async def health(request: Request, state: StateHere) -> schemas.Health:
     )
 
 
-def card_health(lane: Lane | None) -> schemas.CardHealth | None:
+def card_health(lane: Lanes | None) -> schemas.CardHealth | None:
     """How the card of a ``lane`` does; None without one."""
     if lane is None:
         return None

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
+#include <mutex>
 #include <string>
 #include <thread>
 
@@ -17,10 +18,13 @@ struct State {
   int code = 0;
   double stops_s = 0;
   std::string failing;
+  int device = -1;  // that fails; any
 } state;
+thread_local int current = 0;
+std::mutex emulating;  // one launch at a time: emulated threads have one number
 
 int called(const char* name) {
-  if (state.failing != name || state.after-- > 0) return 0;
+  if (state.failing != name || (state.device >= 0 && state.device != current) || state.after-- > 0) return 0;
   std::this_thread::sleep_for(std::chrono::duration<double>(state.stops_s));
   state.after = 0;  // and from now on
   return state.code;
@@ -40,8 +44,8 @@ void shim_draws_by(void (*folds)(uint64_t, int64_t, int64_t, int64_t),
   state.folds = folds, state.frames = frames, state.backwards = backwards;
 }
 // The call of this name returns the code once it has been made so often, after so many seconds.
-void shim_fails(const char* name, int code, int64_t after, double stops_s) {
-  state.failing = name, state.code = code, state.after = after, state.stops_s = stops_s;
+void shim_fails(const char* name, int code, int64_t after, double stops_s, int device) {
+  state.failing = name, state.code = code, state.after = after, state.stops_s = stops_s, state.device = device;
 }
 int64_t shim_launches() { return state.launches; }
 
@@ -54,8 +58,8 @@ int cuDeviceGetAttribute(int* value, int which, int) {
   *value = which == 75 ? state.major : which == 76 ? state.minor : 4;
   return 0;
 }
-int cuDevicePrimaryCtxRetain(void** context, int) { *context = &state; return 0; }
-int cuCtxSetCurrent(void*) { return 0; }
+int cuDevicePrimaryCtxRetain(void** context, int device) { *context = (void*)(uint64_t(device) + 1); return 0; }
+int cuCtxSetCurrent(void* context) { current = int(uint64_t(context)) - 1; return 0; }
 int cuMemGetInfo_v2(size_t* free_bytes, size_t* whole) { *free_bytes = *whole = state.free_bytes; return 0; }
 int cuMemAlloc_v2(uint64_t* address, size_t bytes) {
   CALL(cuMemAlloc_v2)
@@ -85,6 +89,7 @@ int cuModuleGetFunction(void** function, void*, const char* name) {
 int cuLaunchKernel(void* function, unsigned count, unsigned, unsigned, unsigned threads, unsigned, unsigned, unsigned, void*,
                    void** given, void**) {
   CALL(cuLaunchKernel)
+  const std::lock_guard<std::mutex> alone(emulating);
   ++state.launches;
   if (function == (void*)&state.frames)
     state.frames(*(const uint64_t*)given[0], *(const int64_t*)given[1], threads, state.backwards);

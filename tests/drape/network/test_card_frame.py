@@ -12,8 +12,11 @@ from benchmarks.cases import FPS, at_rate
 from benchmarks.served import Stream, plan_of
 from drape.catalog import find_motions
 from drape.engine import card_jobs
+from drape.engine.card import Card
+from drape.engine.card_frames import Pool
 from drape.live import card_lane
 from drape.live.card_lane import Lane
+from drape.live.card_lanes import Lanes
 from drape.motion.readers import read_motion
 from drape.network.card_frame import FrameJob, draw_by_card
 from drape.network.card_memory import CardMemory, fetched
@@ -24,7 +27,7 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.garments import shipped
 from tests.fixtures.laws import each
-from tests.fixtures.paper_card import fails, paper_card, turn_threads
+from tests.fixtures.paper_card import SOURCE, driver, fails, paper_card, turn_threads
 
 FRAMES = 12
 
@@ -68,7 +71,8 @@ class Beside:
         for backwards in (False, True):
             turn_threads(backwards)
             job = FrameJob(worn, [past], [[at]])
-            self._lane.draw([job])
+            self._lane.ask(job)
+            self._lane.await_(job)
             assert not self._lane.fault
             (found,) = job.drawn
             assert isinstance(found, Drawn)
@@ -153,7 +157,7 @@ def test_streams_and_clips_of_a_launch_are_the_engines(runtime: DrapeRuntime, la
     streams = Streams(runtime)
     moments, later = streams.at(0.0, 1.0), streams.at(0.1, 0.05)
     wanted, vertices = streams.by_engine(NEW, moments)
-    frames, found, _ = draw_by_card(lane, streams.worn, NEW, moments)
+    frames, found, _ = draw_by_card(Lanes([lane]), streams.worn, NEW, moments)
     assert found.tobytes() == vertices.tobytes() and (lane.launches, lane.frames) == (1, 5)
     assert reports(frames) == reports(wanted) and [one.settled for one in reports(wanted)] == [
         True,
@@ -167,7 +171,7 @@ def test_streams_and_clips_of_a_launch_are_the_engines(runtime: DrapeRuntime, la
     again, vertices = streams.by_engine(known, later)
     assert not any(one.settled for one in reports(again))
     for pasts in (left, [known[0], left[1]]):
-        _, found, _ = draw_by_card(lane, streams.worn, pasts, later)
+        _, found, _ = draw_by_card(Lanes([lane]), streams.worn, pasts, later)
         assert found.tobytes() == vertices.tobytes()
 
 
@@ -176,7 +180,7 @@ def test_frames_that_need_more_scratch_are_the_processors(runtime: DrapeRuntime,
     moments = streams.at(0.0, 0.05)
     for room in (card_jobs, card_lane):
         monkeypatch.setattr(room, "FRAME_SCRATCH_BYTES", 1 << 20)
-    frames, found, _ = draw_by_card(lane, streams.worn, NEW, moments)
+    frames, found, _ = draw_by_card(Lanes([lane]), streams.worn, NEW, moments)
     assert found.tobytes() == streams.by_engine(NEW, moments)[1].tobytes() and lane.works and lane.frames == 5
     assert not any(isinstance(made.past.folded, CardMemory) for made in frames if made)
 
@@ -185,11 +189,13 @@ def test_frames_that_need_more_scratch_are_the_processors(runtime: DrapeRuntime,
 def test_streams_outlive_their_card(runtime: DrapeRuntime, lane: Lane, call: str):
     """What it had of them is gone, so their folds begin anew."""
     streams = Streams(runtime)
-    frames, _, _ = draw_by_card(lane, streams.worn, NEW, streams.at(0.0, 0.05))
+    frames, _, _ = draw_by_card(Lanes([lane]), streams.worn, NEW, streams.at(0.0, 0.05))
     later = streams.at(0.1, 0.05)
     wanted, vertices = streams.by_engine(NEW, later)
     fails(call)
-    again, found, _ = draw_by_card(lane, streams.worn, [made.past for made in (frames[2], frames[4]) if made], later)
+    again, found, _ = draw_by_card(
+        Lanes([lane]), streams.worn, [made.past for made in (frames[2], frames[4]) if made], later
+    )
     assert not lane.works and lane.fault == f"Card of paper: {call}: unspecified launch failure"
     assert found.tobytes() == vertices.tobytes() and reports(again) == reports(wanted)
 
@@ -197,7 +203,55 @@ def test_streams_outlive_their_card(runtime: DrapeRuntime, lane: Lane, call: str
 def test_what_streams_leave_is_given_back(runtime: DrapeRuntime, lane: Lane):
     streams, free_bytes = Streams(runtime), []
     for _ in range(4):
-        draw_by_card(lane, streams.worn, NEW, streams.at(0.0, 0.05))
+        draw_by_card(Lanes([lane]), streams.worn, NEW, streams.at(0.0, 0.05))
         assert lane._pool is not None
         free_bytes.append(lane._pool.free_bytes)
     assert free_bytes[1] == free_bytes[3]
+
+
+def test_streams_are_placed_by_room_and_stay_where_their_memory_is(runtime: DrapeRuntime, monkeypatch: Any):
+    """Two cards, of which one fails: its stream goes on by the other, anew."""
+    monkeypatch.setattr(card_lane, "LOST_S", 60.0)
+    first = paper_card(cards=2)
+    both = [Lane(lambda: first), Lane(lambda: Card(SOURCE, number=1, driver=driver()[0]), share=0.4)]
+    lanes, streams = Lanes(both), Streams(runtime)
+    moments, later = streams.at(0.0, 0.05), streams.at(0.1, 0.05)
+    known, _ = streams.by_engine(NEW, moments)
+    left = []
+    for k in range(2):
+        frames, _, _ = draw_by_card(lanes, streams.worn, NEW[:1], moments[k : k + 1])
+        assert frames[-1] is not None
+        left.append(frames[-1].past)
+        both[0]._pool.take(900 << 20) if k == 0 else None  # pyright: ignore[reportOptionalMemberAccess]
+    assert [past.folded.slot.lane for past in left] == both
+    _, found, _ = draw_by_card(lanes, streams.worn, left, later)
+    assert found.tobytes() == streams.by_engine([known[2].past, known[4].past], later)[1].tobytes()
+    assert [lane.launches for lane in both] == [2, 2] and lanes.report().frames == 10
+    fails("cuLaunchKernel", card=1)
+    _, found, _ = draw_by_card(lanes, streams.worn, left, later)
+    assert found.tobytes() == streams.by_engine([known[2].past, NEW[1]], later)[1].tobytes()
+    assert lanes.works and lanes.report().fault.endswith("cuLaunchKernel: unspecified launch failure")
+    draw_by_card(lanes, streams.worn, NEW, later)
+    assert [lane.frames for lane in both] == [14, 4]
+    lanes.close()
+
+
+@each(after=(0, 3, 8, 12))
+def test_frames_that_find_no_room_are_the_processors(runtime: DrapeRuntime, lane: Lane, monkeypatch: Any, after: int):
+    """Whatever of a launch finds none: constants, what frames leave, or rows."""
+    streams, taken, take = Streams(runtime), [0], Pool.take
+    moments = streams.at(0.0, 0.05)
+
+    def runs_out(pool: Pool, size: int) -> int:
+        taken[0] += 1
+        if taken[0] > after:
+            raise MemoryError
+        return take(pool, size)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Pool, "take", runs_out)
+        _, found, _ = draw_by_card(Lanes([lane]), streams.worn, NEW, moments)
+    wanted = streams.by_engine(NEW, moments)[1]
+    assert found.tobytes() == wanted.tobytes() and taken[0] > after and (lane.works, lane.launches) == (True, 0)
+    _, found, _ = draw_by_card(Lanes([lane]), streams.worn, NEW, moments)
+    assert found.tobytes() == wanted.tobytes() and lane.launches == 1

@@ -12,6 +12,7 @@ from benchmarks.cases import FPS
 from benchmarks.served import plan_of
 from drape.live import card_lane
 from drape.live.card_lane import Lane
+from drape.live.card_lanes import Lanes
 from drape.stages.batch import PoseInput
 from drape.stages.walk import run
 from service.compute import drape_runtime
@@ -28,7 +29,7 @@ def runtime() -> Iterator[DrapeRuntime]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(card_lane, "LOST_S", 60.0)  # the emulation is slow
         patch.setattr(card_lane, "GATHERED_S", 0.3)  # and threads of a busy machine come late
-        patch.setattr(drape_runtime, "open_lane", lambda: Lane(paper_card))
+        patch.setattr(drape_runtime, "open_lane", lambda: Lanes([Lane(paper_card)]))
         with closing(DrapeRuntime(Settings(threads=1))) as made:
             yield made
 
@@ -74,8 +75,10 @@ def test_a_start_looks_for_a_card_and_goes_on_without(
     assert open_lane() is None  # without the extra
     monkeypatch.setattr(drape_runtime, "kernels", lambda: SOURCE)
     lane = open_lane("libno_such_driver.so")
-    assert lane is not None and not lane.works and lane.fault in caplog.text
-    assert "expected NVIDIA's driver" in lane.fault and "frames are computed by the processor" in lane.fault
+    assert lane is not None and not lane.works and lane.report().fault in caplog.text
+    assert all(
+        words in lane.report().fault for words in ("expected NVIDIA's driver", "frames are computed by the processor")
+    )
     paper_card()
     with closing(open_lane(driver()[0])) as found:  # pyright: ignore[reportArgumentType]
         assert found.works  # pyright: ignore[reportOptionalMemberAccess]
