@@ -41,7 +41,7 @@ from drape.geometry.skinning import skin_points
 from drape.motion.rig_poses import UNIT_TOLERANCE, Rig, poses_to_rig, rig_to_poses
 
 FORMAT_VERSION = 1
-FIT_VERSION = 4  # raised when a change here changes the bodies that come out
+FIT_VERSION = 5  # raised when a change here changes the bodies that come out
 WORN_NOTHING = Attire((), np.zeros(0, dtype=np.int64), (0.8, 0.66, 0.56), np.zeros((0, 3)))
 FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's; more for one with a deeper trunk than ours
 BARE, UPPER = "bare", "upper"
@@ -207,7 +207,7 @@ def bare_wearer(
     layers = layers_of(attire, pose)
     seen = shrunk(pose, layers.hollow).only(layers.body | layers.hollow)
     fit = fit_to(seen, body)
-    shaped = avatar_body(fit, seen, body, name=name, covered=pose.only(layers.body))
+    shaped = avatar_body(fit, seen, body, name=name, covered=pose.only(layers.felt))
     root = JOINT_NAMES.index("pelvis")
     surface = pose.vertices + shaped.joints_template[root] - pose.joints[root]
     distances_mm = 1e3 * closest_point(surface[counted_vertices(seen)], shaped.v_template, shaped.faces).distance
