@@ -38,6 +38,7 @@ LIMB_JOINTS = tuple(
     for side in ("left", "right")
     for limb in (("hip", "knee", "ankle", "foot"), ("shoulder", "elbow", "wrist", "hand"))
 )
+STILL = 0.001  # how much skin that nothing draws stays where it is: else a bent neck swung the head round behind it
 TRUST = {"neck": 0.5, "head": 0.0, "palm": 0.0, "sole": 0.3}  # hair, fingers and shoes are no body: they follow
 
 
@@ -58,7 +59,7 @@ def fit_to(pose: TPose, body: BodyModel) -> BodyFit:
     square = scipy.sparse.csr_matrix(umbrella.T @ umbrella)
     for stiffness, reach_m in zip(STIFFNESS, REACH_M, strict=True):
         near, trust = target.near(vertices, reach_m)
-        system = scipy.sparse.diags(trust + 1e-5) + stiffness * square
+        system = scipy.sparse.diags(trust + target.still) + stiffness * square
         vertices = vertices + symmetric_factor(system).solve(trust[:, None] * (near - vertices))
     return BodyFit(vertices, joints)
 
@@ -74,6 +75,7 @@ class _Target:
         self._weights = [TRUST.get(plain_part(part), 1.0) for part in PARTS]
         self._rows = [np.flatnonzero(own == part) for part in range(len(PARTS))]
         known = [part for part in range(len(PARTS)) if len(self._rows[part]) and self._weights[part] > 0.0]
+        self.still = np.where(np.isin(own, known), 1e-5, STILL)
         self._parts = [part for part in known if len(self._faces[part]) >= FEW_FACES]
 
     def near(self, vertices: np.ndarray, reach_m: float) -> tuple[np.ndarray, np.ndarray]:
