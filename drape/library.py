@@ -269,7 +269,7 @@ class Worn:
         left = undressed(wearer, own_faces(wearer, self.layers), cloth, self._worn_by.halves)
         own = covered_faces(wearer.vertices, wearer.faces, cloth, margin_m=UNSEEN_M)
         skin = covered_faces(wearer.body.v_template, wearer.body.faces, cloth, margin_m=UNSEEN_M)
-        left = left._replace(off=left.off | own, bare=left.bare & ~skin)
+        left = left._replace(off=left.off | own, bare=left.bare & ~skin, deep=None)  # players draw nothing deeper
         return undressed_file(self._worn_by.file.read_bytes(), wearer, rig, left)
 
     def glb(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> bytes:

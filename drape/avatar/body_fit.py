@@ -37,6 +37,7 @@ LIMB_JOINTS = tuple(
     for side in ("left", "right")
     for limb in (("hip", "knee", "ankle", "foot"), ("shoulder", "elbow", "wrist", "hand"))
 )
+STILL = 0.001  # how much skin that nothing draws stays where it is: else a bent neck swung the head round behind it
 TRUST = {"neck": 0.5, "head": 0.0, "palm": 0.0, "sole": 0.3}  # hair, fingers and shoes are no body: they follow
 
 
@@ -57,7 +58,7 @@ def fit_to(pose: TPose, body: BodyModel) -> BodyFit:
     systems = ShiftedSystems(umbrella.T @ umbrella)
     for stiffness, reach_m in zip(STIFFNESS, REACH_M, strict=True):
         near, trust = target.near(vertices, reach_m)
-        vertices = vertices + systems.solve(trust + 1e-5, stiffness, trust[:, None] * (near - vertices))
+        vertices = vertices + systems.solve(trust + target.still, stiffness, trust[:, None] * (near - vertices))
     return BodyFit(vertices, joints)
 
 
@@ -72,6 +73,7 @@ class _Target:
         self._weights = [TRUST.get(plain_part(part), 1.0) for part in PARTS]
         self._rows = [np.flatnonzero(own == part) for part in range(len(PARTS))]
         known = [part for part in range(len(PARTS)) if len(self._rows[part]) and self._weights[part] > 0.0]
+        self.still = np.where(np.isin(own, known), 1e-5, STILL)
         self._parts = [part for part in known if len(self._faces[part]) >= FEW_FACES]
         self._surfaces = {part: SearchedMesh(pose.vertices, pose.faces[self._faces[part]]) for part in self._parts}
 

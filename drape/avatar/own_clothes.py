@@ -22,18 +22,20 @@ from drape.body.skeleton import JOINT_NAMES
 from drape.garment.cache import Garment
 from drape.geometry import meshes
 from drape.geometry.closest import closest_point, nearest_vertices
+from drape.geometry.mesh_graphs import connected_components
 
 BONES = np.array([name.removeprefix("left_").removeprefix("right_") for name in JOINT_NAMES])
 UPPER, LOWER = ("top", "outer", "dress"), ("trousers", "skirt", "dress")
 SKIN = ("skin", "face", "gloves", "shoes", "underwear")
 BULKY_M = 0.05  # what stands farther off the skin is no belt: cloth does not lie over it
+ARMS = ["upper_arm", "forearm"]
 INSET_M = 0.01  # cloth stands so far off a skin that was cut away below it
 LEAST_SHARE = 0.2  # of a garment's vertices at a half of the body
 BELOW = 0.5  # the least cosine between a cloth's normal and the way to the skin that it lies on
 BARE_M = 0.02  # skin farther from the body than this leaves it bare
 GONE_M = 0.12  # clothes that were taken off lay so near to the body
-ENDS = {"head": "head", "palm": "wrist", "sole": "ankle"}  # parts where a fitted body is not the character's shape
-END_M = 0.06  # from the joint on
+# Parts where a fitted body is not the character's shape, from so far [m] from a joint on: chins hung below toys' heads.
+ENDS = {"head": ("head", 0.0), "palm": ("wrist", 0.06), "sole": ("ankle", 0.06)}
 
 
 class Halves(NamedTuple):
@@ -67,12 +69,14 @@ def halves_of(garments: Iterable[Garment], body: BodyModel) -> Halves:
 class Layers(NamedTuple):
     """The layers of a character, each a mask (F,) of its faces.
 
-    ``body`` is its body, with clothes that are painted on it or lie flat on it. ``lower`` are the other clothes of the
-    lower half. ``hollow`` are clothes without skin below, which stand for the skin. ``attire`` has the parts, in which
-    bulky ones are marked.
+    ``body`` is its body, with clothes that are painted on it or lie flat on it; ``felt`` is what of it may lie under
+    garments of ours: no painted sleeves, which any garment on the arms takes off. ``lower`` are the other clothes of
+    the lower half. ``hollow`` are clothes without skin below, which stand for the skin. ``attire`` has the parts, in
+    which bulky ones are marked.
     """
 
     body: np.ndarray
+    felt: np.ndarray
     lower: np.ndarray
     hollow: np.ndarray
     attire: Attire
@@ -89,7 +93,7 @@ def layers_of(attire: Attire, pose: TPose) -> Layers:
         if clothes[rows].all() and sewn[pose.faces[rows]].any(axis=1).sum() > 0.01 * rows.sum():
             skin |= rows
     clothes &= ~skin
-    legs = np.isin([plain_part(name) for name in PARTS], ["thigh", "shin"])
+    arms, legs = (np.isin([plain_part(name) for name in PARTS], limb) for limb in (ARMS, ["thigh", "shin"]))
     wide = attire.of_kinds(("skirt",)) | (attire.of_kinds(("dress",)) & legs[part])
     hollow = clothes & ~wide & ~attire.of_kinds(("outer",))
     hollow[hollow] = _without_skin(pose, np.flatnonzero(hollow), skin, attire.part * len(PARTS) + part)
@@ -104,7 +108,8 @@ def layers_of(attire: Attire, pose: TPose) -> Layers:
         parts[number] = held._replace(bulky=bool(np.quantile(off, 0.9) > BULKY_M))
         thin[rows] = not parts[number].bulky
     lower = clothes & attire.of_kinds(("trousers", "skirt"))
-    return Layers(skin | thin, lower, hollow, attire._replace(parts=tuple(parts)))
+    own, sleeves = skin | thin, attire.of_kinds(UPPER) & arms[part]
+    return Layers(own, own & ~sleeves, lower, hollow, attire._replace(parts=tuple(parts)))
 
 
 def _without_skin(pose: TPose, rows: np.ndarray, skin: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -170,9 +175,25 @@ def doubled_ends(body: BodyModel, weights: np.ndarray, faces: np.ndarray) -> np.
     for number, part in enumerate(PARTS):
         plain = plain_part(part)
         if plain in ENDS and number in there:
-            joint = body.joints_template[JOINT_NAMES.index(part.removesuffix(plain) + ENDS[plain])]
-            doubled |= (own == number) & (np.linalg.norm(middle - joint, axis=1) > END_M)
+            joint, behind_m = ENDS[plain]
+            at = body.joints_template[JOINT_NAMES.index(part.removesuffix(plain) + joint)]
+            doubled |= (own == number) & (np.linalg.norm(middle - at, axis=1) > behind_m)
     return doubled
+
+
+def sewn_to_ends(weights: np.ndarray, faces: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """Returns which of the faces ``off`` (F,) bool of a character are one mesh with a head, hand or foot that stays:
+    painted on it, where the bare body is not drawn in their place.
+
+    ``weights`` (V, 24) are those of its surface, whose ``faces`` are (F, 3).
+    """
+    part, found = parts_of(weights)[faces[:, 0]], np.zeros(len(faces), dtype=bool)
+    for number, name in enumerate(PARTS):
+        rows = np.flatnonzero(part == number)
+        if plain_part(name) in ENDS and off[rows].any():
+            piece = connected_components(faces[rows], len(weights))[faces[rows][:, 0]]
+            found[rows] = off[rows] & np.isin(piece, piece[~off[rows]])
+    return found
 
 
 def bare_colours(

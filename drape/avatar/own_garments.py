@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.avatar.covered import ranges_of
+from drape.avatar.covered import covered_faces, ranges_of
 from drape.avatar.face_colours import texture_of
 from drape.avatar.own_clothes import (
     LOWER,
@@ -26,6 +26,7 @@ from drape.avatar.own_clothes import (
     halves_of,
     joined_halves,
     layers_of,
+    sewn_to_ends,
     taken_off,
     tucked,
 )  # fmt: skip
@@ -132,12 +133,13 @@ class Undressed(NamedTuple):
     """The faces of a character in garments that are not drawn, and those of its bare body that are drawn instead.
 
     ``off`` (F,) marks the former and ``bare`` (Fb,) the latter. ``tucked`` is a top of its own that is tucked in, or
-    None.
+    None. ``deep`` (Fb,) marks those of ``bare`` that lie under the garments, up to their hems; None: none.
     """
 
     off: np.ndarray
     bare: np.ndarray
     tucked: TuckedTop | None = None
+    deep: np.ndarray | None = None
 
     @property
     def added(self) -> int:
@@ -156,15 +158,22 @@ def undressed(
     """
     if not wearer.attire.parts:
         return Undressed(np.zeros(len(wearer.faces), dtype=bool), np.zeros(len(wearer.body.faces), dtype=bool))
-    surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
-    off = taken_off(wearer.attire, halves) | own
+    body, surface = wearer.body, (wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64))
+    off = taken_off(wearer.attire, halves)
+    off &= ~sewn_to_ends(wearer.weights, surface[1], off)
+    off |= own
     tops = tucked(wearer.attire, halves) & ~off
     top = tucked_top(wearer, tops, cloth) if tops.any() else None
     if top is not None:
         off |= top.off & tops
-    bare = bare_faces(wearer.body, *surface, off)
-    bare &= ~doubled_ends(wearer.body, wearer.weights, wearer.faces[~off])
-    return Undressed(off, bare) if top is None else Undressed(off | top.off, bare & ~top.hidden, top)
+    bare = bare_faces(body, *surface, off)
+    bare &= ~doubled_ends(body, wearer.weights, wearer.faces[~off])
+    if top is not None:
+        off, bare = off | top.off, bare & ~top.hidden
+    deep = bare.copy()
+    if bare.any():
+        deep[bare] = covered_faces(body.v_template, body.faces[bare], cloth, margin_m=0.0)
+    return Undressed(off, bare, top, deep)
 
 
 def dressed_in(own: Sequence[Garment], halves: Halves) -> tuple[list[Garment], list[Garment]]:

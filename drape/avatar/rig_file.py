@@ -29,7 +29,8 @@ from drape.export.surface import MeshSurface
 from drape.garment.cache import Garment
 from drape.wanted import go_on
 
-BARE, TUCKED = "bare skin", "tucked top"
+BARE, UNDER, TUCKED = "bare skin", "skin under garments", "tucked top"
+DEEPER = {"extras": {"deeper_m": DEEPER_M}}  # of a node
 GAMMA = 2.2  # glTF's colours are linear
 _NO_MATERIALS = np.zeros((0, 3), dtype=np.int64), (), np.zeros(0, dtype=np.int64)
 LEAST_VOLUME = 0.2  # of a blend of joints, of theirs: one that is flatter cannot be undone, and gets a single joint
@@ -84,8 +85,8 @@ def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig,
     """Adds what is seen where clothes of ``wearer`` are not drawn, which ``left`` says: skin in its mean colour (at
     the hips in that of trousers that stay on), and a top that is tucked in, in the colours of its faces.
 
-    Clients draw the top deeper than it is, by the node's ``deeper_m``. Both are skinned to the character's nodes, as
-    ``add_dressed`` has them, in the unit of its file.
+    Clients draw the top, and skin under garments, deeper than they are, by their nodes' ``deeper_m``. All are skinned
+    to the character's nodes, as ``add_dressed`` has them, in the unit of its file.
     """
     body, top, attire = wearer.body, left.tucked, wearer.attire
     still = RigClip(*wearer.to_rig(np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3))), 1.0)
@@ -106,15 +107,17 @@ def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig,
         red, green, blue = (shade**GAMMA).tolist()
         add_shape(file, surface, corners, Shape(parts, {"skin": skin} | told), 0, 1.0, (red, green, blue, 1.0))
 
-    if left.bare.any():
-        used, faces = np.unique(body.faces[left.bare], return_inverse=True)
-        bare = BARE, body.v_template[used], faces.reshape(-1, 3), body.weights[used]
-        add(bare, bare_colours(body, attire, wearer.vertices, wearer.faces, left.off)[used], {})
+    colours = bare_colours(body, attire, wearer.vertices, wearer.faces, left.off)
+    deep = np.zeros_like(left.bare) if left.deep is None else left.bare & left.deep
+    for name, there, told in ((BARE, left.bare & ~deep, {}), (UNDER, deep, DEEPER)):
+        if there.any():
+            used, faces = np.unique(body.faces[there], return_inverse=True)
+            add((name, body.v_template[used], faces.reshape(-1, 3), body.weights[used]), colours[used], told)
     if top is not None:
         own, count = np.repeat(attire.colours[top.rows], 3, axis=0), np.bincount(top.faces.reshape(-1))
         sums = [np.bincount(top.faces.reshape(-1), channel) for channel in own.T]
         colours = np.stack(sums, axis=1) / count[:, None]
-        add((TUCKED, top.vertices, top.faces, top.weights), colours, {"extras": {"deeper_m": DEEPER_M}})
+        add((TUCKED, top.vertices, top.faces, top.weights), colours, DEEPER)
 
 
 def _onto_joints(wearer: Wearer, skeleton: FileSkeleton) -> scipy.sparse.csr_matrix:

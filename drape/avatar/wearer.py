@@ -185,7 +185,7 @@ def read_wearer(
     layers = layers_of(attire, pose)
     seen = shrunk(pose, layers.hollow).only(layers.body | layers.hollow)
     fit = fit_to(seen, body)
-    shaped = avatar_body(fit, seen, body, name=name, covered=pose.only(layers.body))
+    shaped = avatar_body(fit, seen, body, name=name, covered=pose.only(layers.felt))
     root = JOINT_NAMES.index("pelvis")
     surface = pose.vertices + shaped.joints_template[root] - pose.joints[root]
     distances_mm = 1e3 * closest_point(surface[counted_vertices(seen)], shaped.v_template, shaped.faces).distance

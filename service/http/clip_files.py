@@ -112,7 +112,7 @@ def on_rig_file(
     if left.added:
         body, cloth = wearer.body, [(one.garment.vertices, one.garment.faces) for one in layers]
         unseen = covered_faces(body.v_template, body.faces, cloth, margin_m=UNSEEN_M)
-        add_bare(file, nodes, wearer, rig, left._replace(bare=left.bare & ~unseen))
+        add_bare(file, nodes, wearer, rig, left._replace(bare=left.bare & ~unseen, deep=None))
     return file, file.head()
 
 

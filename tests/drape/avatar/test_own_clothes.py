@@ -12,18 +12,22 @@ import trimesh
 
 from drape.avatar.attire import Attire
 from drape.avatar.character import character_in
+from drape.avatar.covered import DEEPER_M
 from drape.avatar.own_clothes import (
-    END_M,
+    ENDS,
     INSET_M,
     Halves,
     _without_skin,
     bare_colours,
     bare_faces,
     doubled_ends,
+    layers_of,
+    sewn_to_ends,
     taken_off,
     tucked,
 )
 from drape.avatar.own_garments import Undressed, undressed
+from drape.avatar.parts import PARTS, parts_of
 from drape.avatar.rig_file import GAMMA, bare_file
 from drape.avatar.t_pose import TPose
 from drape.avatar.tucked import BELOW_M
@@ -203,7 +207,7 @@ def test_a_tucked_top_is_drawn_in_its_own_colours(cut_away: Wearer, body: BodyMo
     drawn = cut_away.scale * found.vertices[found.faces]
     top = left.tucked.vertices[left.tucked.faces]
     assert np.abs(drawn[-len(top) :] - top).max() < 1e-4
-    skin, own = (file.item("meshes", number).primitives[0] for number in range(2))
+    skin, own = (file.item("meshes", number).primitives[0] for number in (0, len(file.document.meshes) - 1))
     assert "COLOR_0" not in skin.attributes
     blue = np.array(COLOURS["top"])
     assert np.allclose(file.array(own.attributes["COLOR_0"]), blue, atol=0.01)
@@ -254,8 +258,8 @@ def test_a_character_keeps_its_own_head_and_hands(cut_away: Wearer):
     body, weights, faces = cut_away.body, cut_away.weights, cut_away.faces
     doubled = doubled_ends(body, weights, faces)
     middle, bone = body.v_template[body.faces].mean(axis=1), body.weights[body.faces[:, 0]].argmax(axis=1)
-    for end in ("head", "left_wrist", "right_ankle"):
-        far = np.linalg.norm(middle - body.joints_template[JOINT_NAMES.index(end)], axis=1) > END_M
+    for part, end in (("head", "head"), ("palm", "left_wrist"), ("sole", "right_ankle")):
+        far = np.linalg.norm(middle - body.joints_template[JOINT_NAMES.index(end)], axis=1) > ENDS[part][1]
         own = (bone == JOINT_NAMES.index(end)) & far
         assert own.any() and doubled[own].mean() > 0.9
         assert not doubled[~far & (bone == JOINT_NAMES.index(end))].any()
@@ -264,6 +268,47 @@ def test_a_character_keeps_its_own_head_and_hands(cut_away: Wearer):
     every = Halves(True, True)
     left = undressed(cut_away, np.zeros(len(faces), dtype=bool), [], every)
     assert left.bare.any() and not (left.bare & doubled).any()
+
+
+def test_what_is_painted_on_a_hand_stays_on_it(body: BodyModel):
+    """A toy's hand in the colours of its sleeve: no skin is drawn there in its place. A cuff beside it comes off."""
+    hand = parts_of(body.weights)[body.faces[:, 0]] == list(PARTS).index("left_palm")
+    painted = hand & (np.arange(len(hand)) % 3 == 0)
+    faces = np.concatenate([body.faces, body.faces[hand] + body.vertex_count])  # the cuff, a mesh of its own
+    weights = np.concatenate([body.weights, body.weights])
+    cuff = np.arange(len(faces)) >= len(body.faces)
+    off = np.append(painted, np.ones(hand.sum(), dtype=bool))
+    assert np.array_equal(sewn_to_ends(weights, faces, off), off & ~cuff)
+    arm = np.append(parts_of(body.weights)[body.faces[:, 0]] == list(PARTS).index("left_forearm"), cuff[cuff])
+    assert not sewn_to_ends(weights, faces, arm | off | np.append(hand, cuff[cuff])).any()
+
+
+def test_painted_sleeves_do_not_widen_the_arms(whole: Wearer):
+    """Garments on the arms take them off: skin round all that they do in poses was a giant's muscles."""
+    part = parts_of(whole.weights)[whole.faces[:, 0]]
+    arm = np.isin(part, [number for number, name in enumerate(PARTS) if name.endswith("arm")])
+    skin, top = (next(n for n, one in enumerate(whole.attire.parts) if one.kind == kind) for kind in ("skin", "top"))
+    painted = (whole.attire.part == skin) & arm
+    attire = whole.attire._replace(part=np.where(painted, top, whole.attire.part))
+    pose = TPose(whole.vertices, whole.faces, whole.weights, np.zeros((24, 3)), 1.0, 1.7)
+    layers = layers_of(attire, pose)
+    assert layers.body[painted].all() and not layers.felt[painted].any()
+    assert np.array_equal(layers.felt[~arm], layers.body[~arm])
+
+
+def test_bare_skin_under_a_garment_is_drawn_deeper(cut_away: Wearer, body: BodyModel, shelf: dict[str, Garment]):
+    """Clients draw it like the character's own: it does not stand through the cloth that lies on it."""
+    halves = Halves(True, False)
+    cut = tailored(shelf["tshirt"], body, cut_away.body_under(halves))
+    none = np.zeros(len(cut_away.faces), dtype=bool)
+    left = undressed(cut_away, none, [(cut.vertices, cut.faces)], halves)
+    assert left.deep is not None and not (left.deep & ~left.bare).any() and cut_away.file is not None
+    middle = cut_away.body.v_template[cut_away.body.faces].mean(axis=1)
+    near = closest_point(middle, cut.vertices.astype(float), cut.faces.astype(int)).distance < 0.03
+    assert left.deep[near & left.bare].mean() > 0.8 and left.deep.sum() < left.bare.sum()
+    nodes = bare_file(cut_away, cut_away.file, left).json["nodes"]
+    told = {node["name"]: node.get("extras", {}).get("deeper_m") for node in nodes if "mesh" in node}
+    assert told == {"bare skin": None, "skin under garments": DEEPER_M}
 
 
 def test_bare_skin_lies_on_the_character_s_own_nodes(cut_away: Wearer):
