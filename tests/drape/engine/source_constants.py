@@ -9,7 +9,7 @@ from functools import cache
 from drape.engine.build import SOURCE
 
 DECLARED = re.compile(r"^constexpr (?:int|int64_t|double) ([^;{]+);", re.MULTILINE)
-LISTED = re.compile(r"^constexpr int (\w+)\[\w+\] = \{([^}]+)\};", re.MULTILINE)
+LISTED = re.compile(r"^(?:constexpr|TABLE) int (\w+)\[\w+\] = \{([^}]+)\};", re.MULTILINE)
 
 
 @cache

@@ -63,4 +63,4 @@ def test_the_frame_compiles_for_cards_and_fits_a_group_of_1024_threads(tmp_path:
     """A card has 65,536 registers for the threads of a group."""
     told = build_kernels(tmp_path / "card.fatbin")
     registers = [int(found) for found in re.findall(r"Used (\d+) registers", told)]
-    assert len(registers) == 3 and max(registers) <= 64
+    assert len(registers) == 6 and max(registers) <= 64
