@@ -302,7 +302,7 @@ def test_a_tucked_top_is_drawn_deeper_than_skin_that_is_bare(
     avatar = {"joints": wearer.joints, "rest_joints": wearer.body.joints_template.tolist(), "scale": wearer.scale}
     document = {"file": base64.b64encode(payload).decode(), "bare": base64.b64encode(bare).decode(), "avatar": avatar}
     on, off = page_answer(TUCKED, document, tmp_path)
-    assert sorted(on) == [["bare_skin", False], ["tucked_top", True]] and off == []
+    assert sorted(on) == [["bare_skin", False], ["skin_under_garments", True], ["tucked_top", True]] and off == []
 
 
 OVER = """
