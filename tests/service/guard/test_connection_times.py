@@ -198,7 +198,10 @@ def test_places_are_looked_for_before_a_body_is_read(make_settings: Callable[...
     app = create_app(settings)
     with serve(app, settings) as url:
         waiting = opened(place_of(url), post("/garments?name=a.obj", "text/plain") + b"#")
-        time.sleep(0.3)
+        deadline = time.monotonic() + PATIENT_S
+        while app.state.drape.uploads.waiting == 0:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
         for kind in ("text/plain", "application/json"):
             one = opened(place_of(url), post("/garments?name=b.obj", kind))
             one.settimeout(PATIENT_S)
