@@ -114,7 +114,6 @@ class Lane:
     def __init__(self, open_card: Callable[[], Card], *, share: float = 0.8) -> None:
         self._open, self._share, self._queue = open_card, share, queue.SimpleQueue[_Job | Asked | None]()
         self._ready, self._lock = threading.Event(), threading.Lock()
-        self._cloths = weakref.WeakKeyDictionary[Any, CardRecord]()
         self._left = OrderedDict[int, tuple[list[np.ndarray], CardRecord]]()  # by what the host holds of a memory
         self._left_bytes, self._busy_s, self._begun_s = 0, 0.0, time.monotonic()
         self._gone = deque[CardRecord]()  # of cloths that nobody has any more
@@ -175,7 +174,7 @@ class Lane:
             return call_with_scratch(name, dtype, *given)
         job = _Job(name, given)
         self.ask(job)
-        self.await_(job)
+        self.wait_for(job)
         if job.drawn is None:
             return call_with_scratch(name, dtype, *given)
         *_, after, out, told = given
@@ -186,7 +185,7 @@ class Lane:
         return 0
 
     def ask(self, job: _Job | Asked) -> None:
-        """Puts a ``job`` into the queue, for which ``await_`` waits."""
+        """Puts a ``job`` into the queue, for which ``wait_for`` waits."""
         job.since_s = time.monotonic()
         with self._lock:
             self._waiting.append(job)
@@ -194,7 +193,7 @@ class Lane:
                 job.done.set()
         self._queue.put(job)
 
-    def await_(self, job: _Job | Asked) -> None:
+    def wait_for(self, job: _Job | Asked) -> None:
         """Waits until the frames of ``job`` are drawn, or the card has failed."""
         if not job.done.wait(job.since_s + LOST_S - time.monotonic()):
             self._fail(f"{self.card}: expected a frame within {LOST_S} s, got none")
@@ -252,7 +251,7 @@ class Lane:
         """The record of constants on the card, as long as they live."""
         return self.kept(of, "", lambda: self.place(of, of.record))
 
-    def place(self, owner: Any, record: Record, *beside: CardRecord) -> CardRecord:
+    def place(self, owner: Any, record: Record | Recorded, *beside: CardRecord) -> CardRecord:
         """Places ``record`` on the card, beside what is there already, until ``owner`` is gone."""
         assert self._pool is not None
         made = CardRecord(self._pool, record, beside=beside)
@@ -262,8 +261,6 @@ class Lane:
     def _launch(self, jobs: list[Asked]) -> None:
         """Draws the frames of ``jobs``, from their poses on."""
         assert self._pool is not None and self._card is not None
-        while self._gone:
-            self._gone.popleft().give()
         if not self._scratch:
             self._groups = max(min(self._card.groups, self._pool.size // 4 // FRAME_SCRATCH_BYTES), 1)
             self._scratch = self._pool.take(self._groups * FRAME_SCRATCH_BYTES)
@@ -298,6 +295,8 @@ class Lane:
         self._ready.set()
         while not self.fault and (jobs := self._gathered()):
             begun_s = time.monotonic()
+            while self._gone:
+                self._gone.popleft().give()
             try:
                 if folds := [job for job in jobs if isinstance(job, _Job)]:
                     self._draw(folds)
@@ -333,8 +332,6 @@ class Lane:
     def _draw(self, jobs: list[_Job]) -> None:
         assert self._pool is not None
         frames, pieces, after = Frames(self._pool), list[CardRecord](), list[CardRecord]()
-        while self._gone:
-            self._gone.popleft().give()
         jobs = [job for job in jobs if self.room(job.given[5])]
         if not jobs:
             return
@@ -359,11 +356,7 @@ class Lane:
 
     def cloth(self, cloth: Any) -> CardRecord:
         """The constants of folds on the card, as long as they live."""
-        assert self._pool is not None
-        if cloth not in self._cloths:
-            self._cloths[cloth] = CardRecord(self._pool, for_card(cloth))
-            weakref.finalize(cloth, self._gone.append, self._cloths[cloth])
-        return self._cloths[cloth]
+        return self.kept(cloth, "folds", lambda: self.place(cloth, for_card(cloth)))
 
     def _past(self, past: Record) -> CardRecord:
         """A frame's ``past`` on the card: that which the lane left there, with the time since then, or a copy."""

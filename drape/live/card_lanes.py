@@ -41,7 +41,7 @@ class Lanes:
         for lane, job in jobs:
             lane.ask(job)
         for lane, job in jobs:
-            lane.await_(job)
+            lane.wait_for(job)
 
     def compute(self, name: str, dtype: Any, *given: Any) -> int:
         """Does what that of a ``Lane`` does."""

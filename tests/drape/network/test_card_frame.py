@@ -72,7 +72,7 @@ class Beside:
             turn_threads(backwards)
             job = FrameJob(worn, [past], [[at]])
             self._lane.ask(job)
-            self._lane.await_(job)
+            self._lane.wait_for(job)
             assert not self._lane.fault
             (found,) = job.drawn
             assert isinstance(found, Drawn)
