@@ -19,7 +19,7 @@ from service.app import create_app
 from service.guard import connection_times, limits
 from service.guard.connection_times import HEAD_BYTES
 from service.settings import Settings
-from tests.fixtures.patience import PATIENT_S
+from tests.fixtures.patience import PATIENT_S, wait_until
 from tests.fixtures.serving import serve, served
 
 HEAD = "Host: 127.0.0.1\r\nContent-Type: {kind}\r\nContent-Length: {size}\r\n\r\n"
@@ -198,10 +198,7 @@ def test_places_are_looked_for_before_a_body_is_read(make_settings: Callable[...
     app = create_app(settings)
     with serve(app, settings) as url:
         waiting = opened(place_of(url), post("/garments?name=a.obj", "text/plain") + b"#")
-        deadline = time.monotonic() + PATIENT_S
-        while app.state.drape.uploads.waiting == 0:
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
+        wait_until(lambda: app.state.drape.uploads.waiting > 0)
         for kind in ("text/plain", "application/json"):
             one = opened(place_of(url), post("/garments?name=b.obj", kind))
             one.settimeout(PATIENT_S)

@@ -28,6 +28,7 @@ from drape.wire.clip_message import pack_clip
 from service.app import create_app
 from service.settings import Settings
 from tests.fixtures.meshes import garment_obj
+from tests.fixtures.patience import wait_until
 from tests.fixtures.serving import serve
 
 FRAMES = 10_000
@@ -81,13 +82,6 @@ def busy(*executors: Executor) -> Iterator[None]:
         end.set()
 
 
-def waited(found: Callable[[], bool]) -> None:
-    until_s = time.monotonic() + DEADLINE_S
-    while not found():
-        assert time.monotonic() < until_s
-        time.sleep(0.02)
-
-
 def left(app: FastAPI) -> int:
     """Requests that were given up so far."""
     answered = app.state.drape.runtime.metrics.requests.collect()[0].samples
@@ -119,7 +113,7 @@ def test_what_waits_for_its_turn_leaves_with_its_client(
                 one.setblocking(False)
                 with pytest.raises(BlockingIOError):
                     one.recv(1)  # not answered
-            waited(partial(has_left, app, count))
+            wait_until(partial(has_left, app, count), DEADLINE_S)
         assert state.clips == 0
     assert [line for line in caplog.records if line.levelno >= logging.WARNING or line.exc_info] == []
     assert client.post("/drape", json=POSE).status_code == 200
@@ -133,7 +127,7 @@ def test_who_stays_gets_what_another_gave_up(service: tuple[FastAPI, httpx.Clien
             stays = opened.enter_context(begun(client, sent))
             with begun(client, sent):
                 time.sleep(0.1)
-            waited(lambda: left(app) > before)
+            wait_until(lambda: left(app) > before, DEADLINE_S)
         stays.settimeout(DEADLINE_S)
         assert stays.recv(15) == b"HTTP/1.1 200 OK"
 
@@ -143,8 +137,8 @@ def test_a_clip_that_is_being_computed_ends_with_the_frames_at_hand(service: tup
     frames, before = app.state.drape.runtime.metrics.frames._value.get, left(app)
     already = frames()
     with begun(client, WAITING["a clip"]):
-        waited(lambda: frames() > already)
-    waited(lambda: left(app) > before)
+        wait_until(lambda: frames() > already, DEADLINE_S)
+    wait_until(lambda: left(app) > before, DEADLINE_S)
     assert app.state.drape.clips == 0 and frames() - already < FRAMES
     computed = frames()
     assert client.post("/drape", json=POSE).status_code == 200, "the place is free, and the turn too"
@@ -156,12 +150,12 @@ def test_an_upload_whose_last_byte_has_come_goes_on(service: tuple[FastAPI, http
     state = app.state.drape
     with busy(state.sliced_thread._executor):
         with begun(client, request("POST", "/garments?name=kept.obj&avatar=standard", garment_obj(tube), BINARY)):
-            waited(lambda: state.uploads.waiting == 1)
+            wait_until(lambda: state.uploads.waiting == 1, DEADLINE_S)
             time.sleep(0.2)  # for all of it to come
         time.sleep(0.5)
         (job,) = state.uploads._jobs.values()
         assert job.state == "queued"
-    waited(lambda: job.state != "queued")  # the rest is that of every upload
+    wait_until(lambda: job.state != "queued", DEADLINE_S)  # the rest is that of every upload
 
 
 def test_long_loops_end_when_nobody_wants_their_result(tube: Garment):

@@ -8,7 +8,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,6 +17,7 @@ import pytest
 from service.settings import Settings
 from service.watch.outputs import KEPT_BYTES
 from tests.architecture.repository import ROOT
+from tests.fixtures.patience import wait_until
 
 LINES = 2000  # of each output, together some times what a pipe and the process of the outputs keep
 FEW_LINES = 100  # which a pipe keeps, so that none is lost to a reader who is late
@@ -52,13 +52,6 @@ def writing(told: Path, *limits: str, stdout: int, stderr: int, lines: int = LIN
     return subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, text=True, stdout=stdout, stderr=stderr)
 
 
-def waited(found: Callable[[], bool]) -> None:
-    until_s = time.monotonic() + DEADLINE_S
-    while not found():
-        assert time.monotonic() < until_s
-        time.sleep(0.05)
-
-
 def counted(lines: list[str]) -> tuple[int, int]:
     """How many of ``lines`` are no word about others, and how many they say are missing."""
     said = [re.search(r'"(\d+) lines were dropped', line) for line in lines]
@@ -68,7 +61,7 @@ def counted(lines: list[str]) -> tuple[int, int]:
 def test_a_reader_that_stalls_loses_lines_and_is_told_how_many(tmp_path: Path):
     told = tmp_path / "told"
     with writing(told, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as writer:
-        waited(told.exists)  # nobody has read a byte
+        wait_until(told.exists, DEADLINE_S)  # nobody has read a byte
         assert int(told.read_text()) > LINES
         assert writer.stdin is not None and writer.stdout is not None and writer.stderr is not None
         readers = [os.fdopen(os.dup(one.fileno())) for one in (writer.stdout, writer.stderr)]
@@ -89,7 +82,7 @@ def test_what_is_read_and_what_is_told_missing_is_all_there_was(tmp_path: Path, 
     with errors.open("wb") as file, writing(told, stdout=subprocess.PIPE, stderr=file.fileno(), lines=lines) as writer:
         assert writer.stdin is not None and writer.stdout is not None
         before = [] if mode == "stalled" else list(iter(writer.stdout.readline, "\n"))
-        waited(told.exists)
+        wait_until(told.exists, DEADLINE_S)
         with writer.stdin:
             writer.stdin.write("\n")
         out = writer.stdout.read()  # what was read ahead of the empty line is in it
