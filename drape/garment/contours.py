@@ -1,8 +1,12 @@
-"""Open contours of a garment, their places along the body, and the pairs of a drape's and a target's.
+"""Borders of a garment's cloth: which is a hole, which an opening, and where along the body openings lie.
 
-Algorithm 2 of Yu, Cordier and Seo (2024). A contour belongs to the part of the body whose bones pass through it; its
-place is the point of that part's chain of bones nearest to its centre. Below the pelvis a middle line between both legs
-continues the trunk, so that the hem of a shirt has one coordinate whether it ends above or below the hips.
+As far as the cloth alone tells: a hole lies in the cloth, so the cloth at its rim looks the way that the hole does; at
+the rim of a cuff the cloth looks sideways. Where a body is known its bones decide.
+
+Algorithm 2 of Yu, Cordier and Seo (2024) pairs a drape's contours with a target's. A contour belongs to the part of the
+body whose bones pass through it; its place is the point of that part's chain of bones nearest to its centre. Below the
+pelvis a middle line between both legs continues the trunk, so that the hem of a shirt has one coordinate whether it
+ends above or below the hips.
 """
 
 from __future__ import annotations
@@ -18,8 +22,14 @@ import numpy as np
 from drape.arrays import check_finite, check_shape
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.errors import InputError, MeshError
-from drape.geometry import meshes
+from drape.garment.files.mesh import GarmentMesh
+from drape.geometry import mesh_graphs, meshes
 
+SHORT_SHARE = 0.14  # of the root of the area: no cuff is as short as this; 14 cm for a square metre
+LONG_SHARE = 0.35  # of the same: a longer border may be a neckline, which lies in flat cloth on broad shoulders
+LIES_IN_CLOTH = 0.85  # cosine between the cloth's normals at a rim and the hole's own: a neckline has 0.7, a cuff 0.2
+LOOKS_SIDEWAYS = 0.6  # below it is a tube's end; a border between the two needs a body to be told
+SMOOTHINGS = 4
 TRUNK = "trunk"
 LIMBS = {
     "left_leg": ("left_hip", "left_knee", "left_ankle"),
@@ -31,6 +41,50 @@ SPINE = ("pelvis", "neck", "head")  # straight: at the kinks of the spine the ne
 MIDDLES = ("ankle", "knee")  # of both legs, from below
 BEYOND_M = 0.2  # that a chain goes on after its last joint: hems below the ankle, cuffs over the hand
 OTHER_PART = 100.0  # cost [m^2] of matching contours of different parts: never, as long as there is a choice
+
+
+class Loop(NamedTuple):
+    """A border: vertices ``loop`` (n,) in order, its ``length``, and how much it lies in the cloth, from 0 to 1.
+
+    ``axis`` (3,) is the normal of the plane that it spans.
+    """
+
+    loop: np.ndarray
+    length: float
+    flatness: float
+    axis: np.ndarray
+
+
+def borders(mesh: GarmentMesh) -> list[Loop]:
+    """The borders of ``mesh``, whose faces agree in orientation, longest first."""
+    normals = meshes.vertex_normals(mesh.vertices, mesh.faces)
+    averaging = mesh_graphs.umbrella_laplacian(mesh.faces, len(mesh.vertices))
+    for _ in range(SMOOTHINGS):  # noise tilts single normals
+        normals = normals + averaging @ normals
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    loops = []
+    for loop in meshes.boundary_loops(mesh.faces):
+        points = mesh.vertices[loop]
+        way = np.roll(points, -1, axis=0) - points
+        length = np.linalg.norm(way, axis=1)
+        axis = 0.5 * np.cross(points - points.mean(axis=0), way).sum(axis=0)
+        axis = axis / max(float(np.linalg.norm(axis)), 1e-300)
+        flatness = float((length * np.abs(normals[loop] @ axis)).sum() / max(float(length.sum()), 1e-300))
+        loops.append(Loop(loop, float(length.sum()), flatness, axis))
+    return sorted(loops, key=lambda one: -one.length)
+
+
+def plainly_hole(one: Loop, mesh: GarmentMesh) -> bool:
+    """Returns whether a border is a hole, as far as the cloth alone tells: it is very short, or lies in the middle of
+    the cloth."""
+    root = float(np.sqrt(meshes.face_areas(mesh.vertices, mesh.faces).sum()))
+    lies = one.flatness > LIES_IN_CLOTH and one.length < LONG_SHARE * root
+    return one.length < SHORT_SHARE * root or lies
+
+
+def plainly_opening(one: Loop) -> bool:
+    """Returns whether a border is an opening, as far as the cloth alone tells: the cloth at it looks sideways."""
+    return one.flatness < LOOKS_SIDEWAYS
 
 
 @dataclass(frozen=True, eq=False)

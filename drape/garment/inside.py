@@ -16,8 +16,7 @@ from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
-from drape.garment.borders import borders, plainly_opening
-from drape.garment.contours import LIMBS, TRUNK, Contour, bone_chains, open_contours
+from drape.garment.contours import LIMBS, TRUNK, Contour, bone_chains, borders, open_contours, plainly_opening
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.registration import FREE_JOINTS, parameter_jacobian, posed_by, posed_normals, unpack_parameters
 

@@ -32,7 +32,7 @@ from recovery.pattern.design import Design, check_laid_flat, check_seams
 from recovery.pattern.measurements import BodyMeasurements, in_size
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern, on_finer_mesh
 from recovery.progress import Say
-from recovery.sim.sdf import GridDistance, SignedDistance
+from recovery.sim.skin_contact import GridDistance, SignedDistance
 
 OVER_GAP_M = 0.032  # that panels over others keep from the skin while they are sewn
 

@@ -39,7 +39,7 @@ from recovery.pattern.design import Design, check_laid_flat, check_seams
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern, on_finer_mesh
 from recovery.progress import Say
-from recovery.sim.sdf import SignedDistance
+from recovery.sim.skin_contact import SignedDistance
 
 Field = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # over points, from rows and their values
 # Each size falls from the one beside it.

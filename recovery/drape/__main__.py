@@ -25,8 +25,7 @@ from drape.garment.intake import garment_name
 from recovery.commands import end_command, parser_of
 from recovery.drape.output import panel_texture, write_rest, write_shape
 from recovery.drape.pattern_drape import Draped, Hold, SewingOptions
-from recovery.drape.placement import Axes
-from recovery.drape.posing import read_pose
+from recovery.drape.placement import Axes, read_pose
 from recovery.drape.settle import TOLERANCE_N
 from recovery.fit.starts import DrapeStart, drape_worn
 from recovery.pattern.garmentcode import read_pattern

@@ -15,14 +15,13 @@ from drape.cloth.relaxation import principal_stretches
 from drape.errors import InputError
 from drape.geometry import meshes
 from recovery import progress
-from recovery.drape.placement import Axes, PlacedPanels, place_panels, scale_pattern
-from recovery.drape.posing import to_pose
+from recovery.drape.placement import Axes, PlacedPanels, place_panels, scale_pattern, to_pose
 from recovery.drape.seam_threads import Sewn, in_numpy, sew, uncross_stitches
 from recovery.drape.settle import ITERATION_LIMIT, SettledDrape, settle_at_rest
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
 from recovery.pattern.sewing_pattern import Pattern
 from recovery.progress import Say
-from recovery.sim.sdf import GridDistance, Grown, SignedDistance, bare
+from recovery.sim.skin_contact import GridDistance, Grown, SignedDistance, bare
 
 HANGS_LONGER = 0.01  # cloth a metre long by its own weight, as a share
 

@@ -18,7 +18,7 @@ from recovery import progress
 from recovery.pattern import geometry
 from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.pattern.sewing_pattern import Pattern, Stitch
-from recovery.sim.sdf import SignedDistance
+from recovery.sim.skin_contact import SignedDistance
 
 SEWING_GAP_M = 0.012  # cloth is kept this far off while it is sewn: inflated clear of the body
 CLOSING_ROUNDS, CLOSED_ROUNDS, MERGED_ROUNDS = 100, 60, 60

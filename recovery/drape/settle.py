@@ -18,10 +18,9 @@ from drape.geometry import meshes
 from recovery import progress
 from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.sim.cloth_model import ClothModel, ClothState, Parameters
-from recovery.sim.linearised import linearised_step
+from recovery.sim.implicit import linearised_step
 from recovery.sim.newton_steps import Report, equilibrium, newton_step
-from recovery.sim.sdf import SignedDistance
-from recovery.sim.skin_contact import SkinContact
+from recovery.sim.skin_contact import SignedDistance, SkinContact
 
 TOLERANCE_N = 1e-5  # a node weighs about 1e-3 N
 ITERATION_LIMIT = 150  # of Newton for the drape

@@ -73,11 +73,9 @@ def surface_distance(
 
     Faces of the second that are not ``known`` close holes: what lies nearest to them does not count.
     """
-    own = _opposite_known(draw_points(*first, count, 0), second, known)
-    ways = [
-        closest.closest_point(own, *second).distance,
-        closest.closest_point(draw_points(*_known_part(second, known), count, 1), *first).distance,
-    ]
+    own, there = draw_points(*first, count, 0), draw_points(*_known_part(second, known), count, 1)
+    own = _opposite_known(own, second, known)
+    ways = [closest.closest_point(*one).distance for one in ((own, *second), (there, *first))]
     found = 1e3 * np.concatenate(ways)
     rms = float(np.sqrt((found**2).mean()))
     return SurfaceDistance(float(found.mean()), rms, float(np.quantile(found, 0.95)), float(found.max()))

@@ -1,22 +1,140 @@
-"""The drape at rest as a differentiable function of panels, from the shape of a nearby pattern."""
+"""The drape at rest as a differentiable function of panels, from the shape of a nearby pattern; the belt it hangs from.
+
+The waist of a drape is laid on that of its target, which shows where the wearer's belt is. Without friction a belt
+closes at the height where the body is as wide as the waist of the pattern. On hips that widen by a millimetre a
+centimetre, or in another simulator, that is centimetres off. A search that may not move the belt makes up for it with
+the lengths of the panels.
+
+Along the waist each piece takes the share that its edge has of the pattern's waist, as it is sewn to a waistband. Nodes
+that stayed where they were while a search changes the pattern would stretch one piece's edge and squeeze another's,
+and what is sewn of it hangs otherwise.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from drape.cloth.material import OrthotropicMaterial
-from recovery.fit.belt import Belt
+from drape.garment.contours import Contour, Match, open_contours
+from drape.geometry import meshes
+from recovery.drape.pattern_drape import Draped
+from recovery.drape.settle import settle_at_rest
+from recovery.fit.objective import nearest_on_line
 from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.sim.cloth_model import ClothModel, ClothState, Parameters
 from recovery.sim.implicit import ImplicitProblem
 from recovery.sim.newton_steps import Minimum, Report, equilibrium
-from recovery.sim.sdf import SignedDistance
-from recovery.sim.skin_contact import SkinContact
+from recovery.sim.skin_contact import SignedDistance, SkinContact
 
 TOLERANCE_N = 1e-6  # a node weighs about 1e-3 N
 ITERATION_LIMIT = 60
+
+
+class Belt(NamedTuple):
+    """The nodes ``held`` (H,) by a belt, in their order along the pattern's waist, and where they lie on the closed
+    ``line`` [m] (m, 3).
+
+    ``edges`` (H, 2) are the panel vertices at the ends of the edge from each node to the next. The nodes follow the
+    line in ``direction`` (1 or -1); ``origin_m`` [m] is the place along it at which their mean lies.
+    """
+
+    held: np.ndarray
+    edges: np.ndarray
+    line: Tensor
+    direction: float
+    origin_m: float
+
+    def places(self, rest: Tensor) -> Tensor:
+        """Positions [m] (H, 3) of the held nodes for panel vertices ``rest`` [m] (P, 2), differentiable by them."""
+        way = torch.roll(self.line, -1, dims=0) - self.line
+        length = torch.linalg.vector_norm(way, dim=1)
+        ends = torch.cumsum(length, dim=0)
+        at = torch.remainder(self.origin_m + self.direction * ends[-1] * self._shares(rest), ends[-1])
+        segment = torch.clamp(torch.searchsorted(ends, at.detach(), right=True), max=len(ends) - 1)
+        share = (at - ends[segment] + length[segment]) / torch.clamp(length[segment], min=1e-12)
+        return self.line[segment] + share[:, None] * way[segment]
+
+    def _shares(self, rest: Tensor) -> Tensor:
+        """The way (H,) along the pattern's waist, 1 for all of it, from the nodes' mean to each."""
+        length = torch.linalg.vector_norm(rest[self.edges[:, 1]] - rest[self.edges[:, 0]], dim=1)
+        way = torch.cumsum(length, dim=0) - length
+        return (way - way.mean()) / length.sum()
+
+
+def belt_on(mesh: PatternMesh, nodes: np.ndarray, held: np.ndarray, line: np.ndarray) -> Belt | None:
+    """The belt of nodes ``held``, all of one border of ``mesh`` at ``nodes`` [m] (N, 3), on the ``line`` [m] (m, 3).
+
+    On average they stay where they are nearest to it. None if they are not a whole border, or do not go round once.
+    """
+    loop = next((one for one in meshes.boundary_loops(mesh.faces) if set(one) == set(held)), None)
+    if loop is None:
+        return None
+    halves = zip(meshes.half_edges(mesh.faces)[:, :2], meshes.half_edges(mesh.panel_faces)[:, :2], strict=True)
+    panels = {frozenset(ends.tolist()): (ends, vertices) for ends, vertices in halves}
+    edges = []
+    for start, end in zip(loop.tolist(), np.roll(loop, -1).tolist(), strict=True):
+        ends, vertices = panels[frozenset((start, end))]
+        edges.append(vertices if ends[0] == start else vertices[::-1])
+    waist = torch.from_numpy(line)
+    best, t = (part.numpy() for part in nearest_on_line(torch.from_numpy(nodes[loop]), waist))
+    length = np.linalg.norm(np.roll(line, -1, axis=0) - line, axis=1)
+    total = float(length.sum())
+    at = np.cumsum(length)[best] - (1.0 - t) * length[best]
+    steps = (np.roll(at, -1) - at + 0.5 * total) % total - 0.5 * total
+    if round(abs(float(steps.sum())) / total) != 1:
+        return None
+    along = at[0] + np.concatenate([[0.0], np.cumsum(steps[:-1])])
+    return Belt(loop, np.array(edges), waist, float(np.sign(steps.sum())), float(along.mean()))
+
+
+def belt_of(draped: Draped, matches: list[Match], there: list[Contour]) -> Belt | None:
+    """Returns the belt that ``draped`` hangs from, laid on the contour of the target that is its match; ``there`` are
+    the target's contours. None if it hangs from none."""
+    found = _waist(draped, matches, there)
+    return None if found is None else belt_on(draped.mesh, draped.nodes, draped.rest.held, found[1].points)
+
+
+def hold_as_target(
+    draped: Draped, matches: list[Match], there: list[Contour], skin: SignedDistance, cloth: OrthotropicMaterial
+) -> Draped:
+    """Returns ``draped`` with the nodes that its belt holds laid on the waist among the target's contours ``there``.
+
+    Held nodes move by the offset of both contours' centres, then onto the target's, each as far along it as it is along
+    the pattern's waist. The other nodes move by the offset and settle round ``skin``, the body's distance in the
+    drape's pose. Returns ``draped`` itself without a belt, without a counterpart, or if the garment does not come to
+    rest so.
+    """
+    found = _waist(draped, matches, there)
+    if found is None:
+        return draped
+    own, theirs = found
+    held, line = draped.rest.held, theirs.points
+    nodes = draped.nodes + (theirs.centre - own.centre)
+    belt = belt_on(draped.mesh, nodes, held, line)
+    if belt is None:
+        best, t = (part.numpy() for part in nearest_on_line(torch.from_numpy(nodes[held]), torch.from_numpy(line)))
+        nodes[held] = line[best] + t[:, None] * (np.roll(line, -1, axis=0) - line)[best]
+    else:
+        nodes[belt.held] = belt.places(torch.from_numpy(draped.mesh.rest)).numpy()
+    settled = settle_at_rest(draped.mesh, nodes, skin, cloth, held=held)
+    if not settled.report.converged:
+        return draped
+    return replace(draped, rest=settled) if draped.posed is None else replace(draped, posed=settled)
+
+
+def _waist(draped: Draped, matches: list[Match], there: list[Contour]) -> tuple[Contour, Contour] | None:
+    """The contour that the belt of ``draped`` holds, and its match; None without a belt or a match."""
+    held = draped.rest.held
+    if not len(held):
+        return None
+    own = open_contours(*draped.surface)
+    match = next((match for match in matches if np.isin(held, own[match.source].loop).all()), None)
+    return None if match is None else (own[match.source], there[match.target])
 
 
 class RestDrape:

@@ -8,22 +8,27 @@ corners. They are the least squares solution of linear equations:
 - their centres move to the target's places, panels moving by the affine map from pattern to drape, joined at seams;
 - both edges of a seam stay equally long;
 - a number that nothing determines follows one common scale.
+
+From size to size the corners of a pattern move as those of its base do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from drape.errors import InputError
 from drape.garment.contours import Contour, Match
+from recovery.fit.objective import sewable
 from recovery.pattern import geometry
+from recovery.pattern.bases import BASES
 from recovery.pattern.coordinates import control_points, with_controls
+from recovery.pattern.measurements import BodyMeasurements, in_size
 from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.pattern.sewing_pattern import EdgeRef, Pattern
-from recovery.pattern.symmetry import Symmetries, correspondence
+from recovery.pattern.symmetry import Symmetries, correspondence, find_symmetries
 
 NUMBERS = 3  # a, b, c of a panel
 SEAM_WEIGHT = 3.0
@@ -235,3 +240,26 @@ def _frame(mesh: PatternMesh, nodes: np.ndarray, panel: int) -> np.ndarray:
     flat, world = mesh.rest[mine], nodes[mesh.node_of_panel_vertex[mine]]
     flat, world = flat - flat.mean(axis=0), world - world.mean(axis=0)
     return np.linalg.lstsq(flat, world, rcond=None)[0].T
+
+
+def in_other_size(
+    pattern: Pattern, base: str, body: BodyMeasurements, settings: Mapping[str, float], size: str
+) -> Pattern:
+    """Returns ``pattern``, which fits ``body`` as its M, in ``size``; its ``base`` was drafted for ``body`` with
+    ``settings``.
+
+    A corner moves by the difference of both sizes of the base, then as little as keeps the ratios of seams and the
+    base's symmetries. Raises ``InputError`` where the base is no design that grows, or does not come in that size.
+    """
+    if base not in BASES:
+        raise InputError(
+            "--sizes",
+            expected=f"a base that is drafted: {', '.join(sorted(BASES))}",
+            got=base,
+            cure="Leave --sizes out: panels of a file do not say how they grow.",
+        )
+    drafts = [BASES[base](measured, **settings) for measured in (body, in_size(body, size))]
+    middle, other = (control_points(draft).positions for draft in drafts)
+    controls = control_points(pattern)
+    grown = with_controls(pattern, controls, controls.positions + other - middle)
+    return sewable(grown, pattern, find_symmetries(drafts[0]))

@@ -32,11 +32,9 @@ from recovery.pattern import geometry
 from recovery.pattern.pattern_mesh import PatternMesh, on_finer_mesh
 from recovery.pattern.sewing_pattern import Pattern
 from recovery.sim.cloth_model import ClothState, Parameters
-from recovery.sim.implicit import ImplicitProblem
-from recovery.sim.linearised import LinearisedStep, SpringForces, damped_step, linearised_step
+from recovery.sim.implicit import ImplicitProblem, LinearisedStep, SpringForces, damped_step, linearised_step
 from recovery.sim.newton_steps import Report, force_left
-from recovery.sim.sdf import SignedDistance
-from recovery.sim.skin_contact import SkinContact
+from recovery.sim.skin_contact import SignedDistance, SkinContact
 
 GATHERED = 0.125  # one edge of a seam longer than the other by more than this share of their mean
 EDGE_M = 0.03  # longest edges of cloth that is laid: 5 cm do not hold a gather's folds

@@ -1,12 +1,18 @@
-"""The loss of a drape against its target: curvature-weighted Chamfer distance and contours (equations 5 to 7).
+"""The loss of a drape against its target, and the seams as a constraint of the search for the least of it.
 
-The paper measures from vertex to vertex, which leaves millimetres between two meshes of one surface. Here a point is
-compared with the nearest point of the other surface, so a surface is at distance zero from itself in any
-triangulation. The nearest points are held while differentiating. The gradient is exact all the same, because a nearest
-point moves at right angles to the distance; only the weight at the nearest point is taken as constant.
+The loss is the curvature-weighted Chamfer distance and that of contours (equations 5 to 7). The paper measures from
+vertex to vertex, which leaves millimetres between two meshes of one surface. Here a point is compared with the nearest
+point of the other surface, so a surface is at distance zero from itself in any triangulation. The nearest points are
+held while differentiating. The gradient is exact all the same, because a nearest point moves at right angles to the
+distance; only the weight at the nearest point is taken as constant.
 
 In the Gauss-Newton matrix residuals are linear in the drape. A nearest point follows along a surface, so only motion
 along the normal counts; at a border only motion across it.
+
+A term of the loss would let seams give way to a target (equation 8 of the paper). What is cut must not. So the search
+stays on the surface of free values z where g(z) = 0, with one equation a stitch: g = ln(first edge / second edge) -
+ln(ratio of the base). An edge is its chord times a constant, so the derivative of g is exact. A step goes along the
+surface, and Newton's method with the shortest correction brings it back.
 """
 
 from __future__ import annotations
@@ -18,15 +24,24 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from drape.errors import InputError
 from drape.garment.contours import Contour, Match, open_contours
 from drape.geometry import closest, meshes
+from recovery.pattern import geometry
+from recovery.pattern.coordinates import with_controls
 from recovery.pattern.pattern_mesh import PatternMesh
+from recovery.pattern.sewing_pattern import EdgeRef, Pattern
+from recovery.pattern.symmetry import FreeControls, Symmetries, free_controls
 
 FOLD_PER_M = 100.0  # H0 of the weight min(1 + |H| / H0, 5): a fold of 1 cm
 LARGEST_WEIGHT = 5.0
 CORNERS = (
     np.array([(4.0, 1.0, 1.0), (1.0, 4.0, 1.0), (1.0, 1.0, 4.0)]) / 6.0
 )  # points in a triangle, exact for quadratics
+EVEN = 0.005  # a base whose edges differ by less has no ease there: its seams are made equal
+EXACT = 1e-10  # of a length: what Newton leaves
+NEWTON_LIMIT = 30
+RANK = 1e-9  # of the largest singular value: mirrored stitches say the same twice
 
 
 class Terms(NamedTuple):
@@ -96,7 +111,7 @@ class TargetSurface:
 class Objective:
     """The loss of a drape of ``mesh`` against ``target``; ``contours`` of the drape have their ``matches`` there.
 
-    Seams are a constraint of the search (``seams.py``) and no term of the loss, as equation 8 of the paper is.
+    Seams are a constraint of the search and no term of the loss, as equation 8 of the paper is.
     """
 
     def __init__(self, mesh: PatternMesh, target: TargetSurface, contours: list[Contour], matches: list[Match]) -> None:
@@ -230,3 +245,90 @@ def _cross_part(along: np.ndarray, way: np.ndarray, shares: np.ndarray) -> np.nd
     unit = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-30)
     rows = along - unit[:, :, None] * np.einsum("nd,ndz->nz", unit, along)[:, None]
     return 2.0 * np.einsum("n,ndz,ndy->zy", shares, rows, rows)
+
+
+def wanted_ratios(base: Pattern) -> np.ndarray:
+    """Returns for each stitch of ``base`` the ratio (S,) of its first edge's length to its second's; 1 where the base
+    has no ease."""
+    ratio = np.array([seam.first_m / seam.second_m for seam in geometry.seams(base)])
+    return np.where(np.abs(ratio - 1.0) <= EVEN, 1.0, ratio)
+
+
+def ease_left(pattern: Pattern, base: Pattern) -> np.ndarray:
+    """Relative differences (S,) of the first edges of ``pattern`` from what the stitches of ``base`` ask for."""
+    return np.array([seam.first_m / seam.second_m for seam in geometry.seams(pattern)]) / wanted_ratios(base) - 1.0
+
+
+class SeamConstraint:
+    """The stitches of ``pattern``, whose corners are ``free``, in the ratios that those of ``base`` ask for."""
+
+    def __init__(self, pattern: Pattern, free: FreeControls, base: Pattern) -> None:
+        self.free = free
+        self._number = {panel.name: number for number, panel in enumerate(pattern.panels)}
+        sides = [[getattr(stitch, side) for stitch in pattern.stitches] for side in ("first", "second")]
+        self._chords = np.stack([self._chord_rows(refs) for refs in sides])  # (2, S, 2 coordinates, 1 + Z)
+        per_chord = [
+            np.array([geometry.relative_length(pattern.panel(ref.panel).edges[ref.edge]) for ref in refs])
+            for refs in sides
+        ]
+        self.offset = np.log(per_chord[0]) - np.log(per_chord[1]) - np.log(wanted_ratios(base))
+
+    def _chord_rows(self, refs: list[EdgeRef]) -> np.ndarray:
+        """Chords (S, 2, 1 + Z) of edges as linear functions of (1, z)."""
+        rows = np.concatenate([self.free.origin.reshape(-1, 1), self.free.basis], axis=1).reshape(
+            len(self.free.controls), 2, -1
+        )
+        chords = np.zeros((len(refs), *rows.shape[1:]))
+        for number, ref in enumerate(refs):
+            corners = np.flatnonzero(self.free.controls.panel == self._number[ref.panel])
+            chords[number] = rows[corners[(ref.edge + 1) % len(corners)]] - rows[corners[ref.edge]]
+        return chords
+
+    def apart(self, values: np.ndarray) -> np.ndarray:
+        """g (S,) at ``values`` [m] (Z,): the relative difference of every seam from what is asked for."""
+        chords = self._chords @ np.concatenate([[1.0], values])
+        length = np.log(np.linalg.norm(chords, axis=2))
+        return length[0] - length[1] + self.offset
+
+    def slopes(self, values: np.ndarray) -> np.ndarray:
+        """The derivatives (S, Z) [1/m] of ``apart``."""
+        chords = self._chords @ np.concatenate([[1.0], values])
+        along = chords / (chords**2).sum(axis=2, keepdims=True)
+        rows = np.einsum("esc,escz->esz", along, self._chords[..., 1:])
+        return rows[0] - rows[1]
+
+    def along(self, values: np.ndarray) -> np.ndarray:
+        """Orthonormal directions (Z, M) in which no seam changes, to first order."""
+        _, size, ways = np.linalg.svd(self.slopes(values), full_matrices=True)
+        rank = int((size > RANK * max(size.max(initial=0.0), 1e-30)).sum())
+        return ways[rank:].T
+
+    def kept(self, values: np.ndarray) -> np.ndarray | None:
+        """Returns the values [m] (Z,) nearest to ``values`` at which all seams have their ratios; None where Newton's
+        method finds none."""
+        values = np.array(values, dtype=np.float64)
+        for _ in range(NEWTON_LIMIT):
+            apart = self.apart(values)
+            if np.abs(apart).max(initial=0.0) <= EXACT:
+                return values
+            if not np.isfinite(apart).all():
+                return None
+            values = values - np.linalg.lstsq(self.slopes(values), apart, rcond=RANK)[0]
+        return None
+
+
+def sewable(pattern: Pattern, base: Pattern, symmetries: Symmetries) -> Pattern:
+    """Returns ``pattern`` with its corners moved as little as makes its seams those that ``base`` asks for.
+
+    ``symmetries`` of the pattern stay. Raises ``InputError`` where no corners do.
+    """
+    free = free_controls(pattern, symmetries)
+    values = SeamConstraint(pattern, free, base).kept(np.zeros(free.count))
+    if values is None:
+        raise InputError(
+            "seams",
+            expected="edges that can be made as long as those they are sewn to",
+            got="corners that cannot be moved so",
+            cure="Check the base's seams: python -m recovery.pattern show.",
+        )
+    return with_controls(pattern, free.controls, free.positions(values))

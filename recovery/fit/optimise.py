@@ -3,7 +3,7 @@
 Every evaluation drapes the pattern to rest from the last shape and differentiates through that drape. A step that folds
 a panel over, or whose drape does not come to rest, is halved until it does neither. The paper stops at Adam; near the
 end a few Gauss-Newton steps, which know the derivatives of the whole drape, go as far as hundreds of Adam's. Where
-seams are a constraint both kinds of step go along it and end on it (``seams.py``).
+seams are a constraint both kinds of step go along it and end on it (``objective.py``).
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ from drape.errors import ArtifactError, InputError
 from drape.files.atomic import whole_file
 from recovery import progress as watch
 from recovery.fit.forward import RestDrape
-from recovery.fit.objective import Objective, gauss_newton_matrix
-from recovery.fit.seams import SeamConstraint
+from recovery.fit.objective import Objective, SeamConstraint, gauss_newton_matrix
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import with_controls
 from recovery.pattern.pattern_mesh import PatternMesh

@@ -22,21 +22,19 @@ from drape.errors import InputError
 from drape.garment.contours import ContourPlace, Match, bone_chains, match_contours, open_contours, place_of
 from recovery import progress as watch
 from recovery.drape.pattern_drape import Draped, SewingOptions, hanging
-from recovery.drape.posing import posed_joints
-from recovery.fit.belt import belt_of, hold_as_target
-from recovery.fit.forward import RestDrape
+from recovery.drape.placement import posed_joints
+from recovery.fit.forward import RestDrape, belt_of, hold_as_target
 from recovery.fit.grading import Graded, combine_grades, grade, ungraded
 from recovery.fit.laying import EDGE_M, Dressing, LaidDrape, Shown, is_laid, lay_on_target, laying_options, let_go
-from recovery.fit.objective import Objective, TargetSurface
+from recovery.fit.objective import Objective, SeamConstraint, TargetSurface, sewable
 from recovery.fit.optimise import DEFAULT_OPTIONS, REACH_M, FitOptions, PatternSearch
 from recovery.fit.outcome import NOT_AT_REST, SAME, Recovered, Round, apart_mm, clocks, why_left
-from recovery.fit.seams import SeamConstraint, sewable
 from recovery.fit.starts import DrapeStart, drape_at_rest, drape_worn, needed_length, sew_and_dress
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.symmetry import Symmetries, find_symmetries, free_controls, symmetrised
 from recovery.progress import Say
-from recovery.sim.sdf import SignedDistance
+from recovery.sim.skin_contact import SignedDistance
 
 GRADINGS = 2  # one is linear: a second one mostly halves what the first one left
 ROUNDS = 3

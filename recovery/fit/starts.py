@@ -17,11 +17,11 @@ from drape.errors import InputError
 from drape.garment.contours import lost_parts
 from recovery import progress as watch
 from recovery.drape.pattern_drape import Draped, SewingOptions, drape_pattern
-from recovery.drape.posing import posed_joints
+from recovery.drape.placement import posed_joints
 from recovery.fit.laying import DressedDrape, Dressing, Shown
 from recovery.pattern.sewing_pattern import Pattern
 from recovery.progress import Say
-from recovery.sim.sdf import SignedDistance
+from recovery.sim.skin_contact import SignedDistance
 
 LENGTHS_TRIED = (1.0, 0.93, 1.07, 0.87)  # of the edge length asked for
 FINER = 0.6  # of it, tried next where a part is lost: edges of 5 cm cut through a wrist, and its sleeve slips off

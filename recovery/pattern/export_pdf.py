@@ -8,8 +8,8 @@ import numpy as np
 from reportlab.pdfgen.canvas import Canvas
 
 from drape.errors import InputError
+from recovery.pattern.geometry import inside
 from recovery.pattern.pieces import FOOTER_M, MARGIN_M, NOTCH_DEPTH_M, SCALE_SQUARE_M, CuttingSheet, Piece
-from recovery.pattern.triangulate import inside
 
 POINT_MM = 25.4 / 72.0
 A4_MM = (210.0, 297.0)

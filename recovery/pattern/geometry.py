@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.errors import InputError
-from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, Panel, Pattern, Stitch
 
 QUADRATURE_NODES, PIECES = 64, 8
 TOUCH_M = 1e-9  # segments nearer than this meet
@@ -206,18 +206,6 @@ def area(panel: Panel) -> float:
     return float(total)
 
 
-def segment_counts(pattern: Pattern, edge_length_m: float) -> dict[EdgeRef, int]:
-    """Segments that every edge is cut into for a mesh of ``edge_length_m``; as many on both sides of a stitch."""
-    if not 0.0 < edge_length_m < np.inf:
-        raise InputError("edge_length_m", expected="a length > 0", got=f"{edge_length_m}", cure="Pass metres.")
-    lengths = {ref: edge_length(pattern.panel(ref.panel), ref.edge) for ref in pattern.edge_refs()}
-    counts = {ref: max(1, round(length / edge_length_m)) for ref, length in lengths.items()}
-    for stitch in pattern.stitches:
-        mean = 0.5 * (lengths[stitch.first] + lengths[stitch.second])
-        counts[stitch.first] = counts[stitch.second] = max(1, round(mean / edge_length_m))
-    return counts
-
-
 def seams(pattern: Pattern) -> list[SeamLine]:
     """Returns a ``SeamLine`` for each stitch of ``pattern``, in order: the lengths [m] of its two edges, and their
     mismatch.
@@ -323,3 +311,24 @@ def _refuse_size(name: str, expected: str, size: float) -> None:
         got=f"{size:.4g} m",
         cure="Check the unit: units_in_meter is 100 for centimetres, 1000 for millimetres.",
     )
+
+
+def inside(points: np.ndarray, polygon: np.ndarray) -> np.ndarray:
+    """Whether each of ``points`` (N, 2) lies inside the closed ``polygon`` (M, 2), by counting crossings."""
+    within = np.zeros(len(points), dtype=bool)
+    x, y = points.T
+    for (ax, ay), (bx, by) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        if ay != by:
+            crossing = ((ay > y) != (by > y)) & (x < ax + (y - ay) * ((bx - ax) / (by - ay)))
+            within ^= crossing
+    return within
+
+
+def boundary_distance(points: np.ndarray, polygon: np.ndarray) -> np.ndarray:
+    """Distances [m] (N,) of ``points`` (N, 2) to the sides of the closed ``polygon`` (M, 2)."""
+    nearest = np.full(len(points), np.inf)
+    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        along = b - a
+        share = np.clip((points - a) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
+        nearest = np.minimum(nearest, np.linalg.norm(points - a - share[:, None] * along, axis=1))
+    return nearest

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from recovery.pattern.triangulate import inside
+from recovery.pattern.geometry import inside
 
 HEIGHTS_M = (0.006, 0.005, 0.004, 0.003, 0.0025, 0.002, 0.0015)  # of capitals and figures
 LINE_SHARE = 1.4  # from line to line, of the height of the text

@@ -1,22 +1,111 @@
-"""The mesh of a whole pattern: panels triangulated, seams joined, and the map from control points to vertices."""
+"""The mesh of a whole pattern: panels triangulated, seams joined, and the map from control points to vertices.
+
+Triangles inside a panel are as even as its corners allow, without a new point on its outline. A triangular lattice
+fills the inside; the constrained Delaunay triangulation (pythoncdt) joins it to the outline; a few rounds of moving the
+inner points to the mean of their neighbours even it out.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pythoncdt
 import scipy.sparse
 from scipy.sparse import csgraph
 
-from drape.errors import MeshError
-from drape.geometry import closest, meshes
+from drape.errors import InputError, MeshError
+from drape.geometry import closest, mesh_graphs, meshes
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import Controls, boundary_matrix, control_points, mean_value_weights
+from recovery.pattern.geometry import boundary_distance, inside
 from recovery.pattern.sewing_pattern import EdgeRef, Panel, Pattern
-from recovery.pattern.triangulate import corner_angles_deg, triangulate
 
+CLEARANCE_SHARE = 0.7  # of the target edge: no lattice point nearer to the boundary
+ROUNDS, MOVES_PER_ROUND = 6, 2  # more rounds change the smallest angle by less than a degree
+LARGEST_LATTICE = 2_000_000
 MOST_FLIPS = 200  # of inner edges at sewn corners
+
+
+def triangulate(boundary: np.ndarray, edge_length_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points [m] (N, 2) and triangles (F, 3), counter-clockwise, inside the simple polygon ``boundary`` [m] (B, 2).
+
+    The first B points are those of ``boundary``, in order, and every one of its sides is a side of one triangle.
+    """
+    boundary = np.array(boundary, dtype=np.float64)
+    size = np.ptp(boundary, axis=0) / edge_length_m if edge_length_m > 0.0 else np.full(2, np.inf)
+    if len(boundary) < 3 or not (size + 1.0).prod() < LARGEST_LATTICE:
+        raise InputError(
+            "edge_length_m",
+            expected=f"a length > 0 that gives fewer than {LARGEST_LATTICE} points, and 3 or more boundary points",
+            got=f"{edge_length_m} m for {len(boundary)} boundary points",
+            cure="Take longer edges, and check that the pattern is in metres.",
+        )
+    points = np.concatenate([boundary, _lattice(boundary, edge_length_m)])
+    count = len(boundary)
+    faces = _delaunay(points, count)
+    for _ in range(ROUNDS):
+        to_mean = mesh_graphs.umbrella_laplacian(faces, len(points))[count:]
+        for _ in range(MOVES_PER_ROUND):
+            points[count:] += to_mean @ points
+        faces = _delaunay(points, count)
+    return points, faces
+
+
+def corner_angles_deg(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Angles [deg] (F, 3) at the corners of the triangles."""
+    corners = points[faces]
+    first = np.roll(corners, -1, axis=1) - corners
+    second = np.roll(corners, 1, axis=1) - corners
+    cross = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
+    return np.degrees(np.arctan2(np.abs(cross), (first * second).sum(axis=-1)))
+
+
+def _lattice(polygon: np.ndarray, edge: float) -> np.ndarray:
+    """Points of the triangular lattice inside ``polygon``, symmetric about the middle of its box."""
+    low, high = polygon.min(axis=0), polygon.max(axis=0)
+    middle = 0.5 * (low + high)
+    height = 0.5 * np.sqrt(3.0) * edge
+    rows = np.arange(-np.ceil((high - middle)[1] / height), np.ceil((high - middle)[1] / height) + 1)
+    columns = np.arange(-np.ceil((high - middle)[0] / edge) - 1, np.ceil((high - middle)[0] / edge) + 2)
+    x = columns[None, :] * edge + np.where(rows % 2 == 0, 0.0, 0.5 * edge)[:, None]
+    y = np.broadcast_to((rows * height)[:, None], x.shape)
+    points = middle + np.stack([x.reshape(-1), y.reshape(-1)], axis=1)
+    return points[inside(points, polygon) & (boundary_distance(points, polygon) > CLEARANCE_SHARE * edge)]
+
+
+def _delaunay(points: np.ndarray, boundary_count: int) -> np.ndarray:
+    """Triangles (F, 3) of the constrained Delaunay triangulation inside the first ``boundary_count`` points."""
+    start = np.arange(boundary_count, dtype=np.uintc)
+    # Typed loosely: numpy's stubs do not know the buffer protocol before Python 3.12.
+    vertices: Any = np.ascontiguousarray(points)
+    sides: Any = np.ascontiguousarray(np.stack([start, np.roll(start, -1)], axis=1))
+    try:
+        mesh = pythoncdt.Triangulation(
+            pythoncdt.VertexInsertionOrder.AUTO, pythoncdt.IntersectingConstraintEdges.NOT_ALLOWED, 0.0
+        )
+        mesh.insert_vertices(vertices)
+        mesh.insert_edges(sides)
+        mesh.erase_outer_triangles()
+        faces = mesh.triangles_array()["vertices"].astype(np.int64)
+    except RuntimeError as error:
+        raise _not_simple(str(error).splitlines()[0]) from error
+    # A disk with B boundary and I inner points has B + 2 I - 2 triangles.
+    expected = 2 * len(points) - boundary_count - 2
+    if len(faces) != expected or mesh.vertices_count() != len(points):
+        raise _not_simple(f"{len(faces)} triangles instead of {expected}")
+    return faces
+
+
+def _not_simple(got: str) -> MeshError:
+    return MeshError(
+        "boundary",
+        expected="a simple polygon with distinct points",
+        got=got,
+        cure="Remove crossings and doubled points; take shorter edges where curved sides come close.",
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,13 +167,25 @@ class PatternMesh:
         }
 
 
+def segment_counts(pattern: Pattern, edge_length_m: float) -> dict[EdgeRef, int]:
+    """Segments that every edge is cut into for a mesh of ``edge_length_m``; as many on both sides of a stitch."""
+    if not 0.0 < edge_length_m < np.inf:
+        raise InputError("edge_length_m", expected="a length > 0", got=f"{edge_length_m}", cure="Pass metres.")
+    lengths = {ref: geometry.edge_length(pattern.panel(ref.panel), ref.edge) for ref in pattern.edge_refs()}
+    counts = {ref: max(1, round(length / edge_length_m)) for ref, length in lengths.items()}
+    for stitch in pattern.stitches:
+        mean = 0.5 * (lengths[stitch.first] + lengths[stitch.second])
+        counts[stitch.first] = counts[stitch.second] = max(1, round(mean / edge_length_m))
+    return counts
+
+
 def mesh_pattern(pattern: Pattern, edge_length_m: float) -> PatternMesh:
     """Checks ``pattern``, triangulates its panels with sides of about ``edge_length_m``, joins them at the stitches.
 
     Raises ``InputError`` for an unfit pattern and ``MeshError`` where sewing does not give a surface.
     """
     geometry.check_pattern(pattern)
-    counts = geometry.segment_counts(pattern, edge_length_m)
+    counts = segment_counts(pattern, edge_length_m)
     controls = control_points(pattern)
     rest, faces, blocks = [], [], []
     edge_vertices: dict[EdgeRef, np.ndarray] = {}

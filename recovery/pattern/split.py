@@ -17,8 +17,8 @@ import numpy as np
 from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.drafting import root
+from recovery.pattern.geometry import inside
 from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
-from recovery.pattern.triangulate import inside
 
 SAME = 1e-7  # of an edge's length: nearer places are one
 LEFT_M = 2e-3  # that a strip leaves of the edges beside it

@@ -25,12 +25,13 @@ from drape.garment.mesh_checks import UNITS_M, UP_AXES
 from recovery import progress
 from recovery.commands import add_style_options, end_command, parser_of, style_of
 from recovery.drape.pattern_drape import SewingOptions
-from recovery.drape.posing import read_pose
+from recovery.drape.placement import read_pose
 from recovery.fit.optimise import REACH_M, FitOptions
 from recovery.fit.rounds import RoundsOptions
 from recovery.pattern.bases import BASES
 from recovery.pattern.measurements import PATTERN_STEPS
 from recovery.run.job import run_job
+from recovery.run.refusal import placed_fault
 from recovery.run.task import MINUTES, RecoveryJob
 from recovery.scan.repair import ScanFault
 
@@ -146,14 +147,16 @@ def read_betas(text: str) -> np.ndarray:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command and returns its exit code: 2 with a sentence if input is refused, 3 if cloth is not at rest."""
     given = parse(arguments)
+    job = job_of(given)
     try:
-        outcome = run_job(job_of(given), progress=progress.to_stderr)
-    except ScanFault as fault:
+        outcome = run_job(job, progress=progress.to_stderr)
+    except ScanFault as found:
+        fault = placed_fault(found, job)
         if fault.mesh is not None:
             from recovery.run.report_pictures import fault_picture
 
             print(write_whole(given.out / f"{given.target.stem}.refused.png", fault_picture(fault.mesh, fault.points)))
-        raise
+        raise fault from found
     with progress.watched(), progress.stage("the report is drawn"):
         from recovery.run.report_text import page_of, record_of  # matplotlib takes a second to load
 

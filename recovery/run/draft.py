@@ -16,7 +16,7 @@ from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.tops import NECK_SLOPE
 from recovery.pattern.trousers import thigh_girth
-from recovery.run.seen import BodyOpening, SeenGarment
+from recovery.run.cut import BodyOpening, SeenGarment
 
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)  # of the way from a base's own settings to what the target tells
 BELOW_UNDERARM_M = 0.05  # where the chest's girth is taken, clear of armholes

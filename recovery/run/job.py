@@ -13,20 +13,23 @@ from drape.errors import InputError
 from recovery import progress as watch
 from recovery.drape.output import panel_texture, write_shape
 from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surface_distance
+from recovery.fit.grading import in_other_size
 from recovery.fit.objective import TargetSurface
 from recovery.fit.outcome import Recovered
 from recovery.fit.rounds import recover_pattern
 from recovery.pattern.measurements import measure_body
+from recovery.pattern.openings import COLLAR
 from recovery.pattern.pattern_files import export_pattern
 from recovery.pattern.sewing_pattern import Pattern
-from recovery.pattern.style import Style
+from recovery.pattern.style import NO_STYLE, RIB_SHORTER, RIBS, Style, add_style_lines, cap_corners_deg, finish_pattern
 from recovery.progress import Say
-from recovery.run.finish import in_other_size, style_pattern
+from recovery.run.cut import Cut
 from recovery.run.identify import Identifiability, identifiability
 from recovery.run.sew_anew import SewnAndWorn, sew_and_wear
 from recovery.run.task import RecoveryJob, Task, prepare
 
 LEAST_TOLERANCE_M = 1e-3  # below a millimetre no scan tells
+FAIR_DEG = 5.0  # by which a cap may turn at a corner before it is worth a sentence
 SEARCH_SHARE = 0.7  # of the time until the best so far is taken; the rest is for sewing anew and for other bodies
 
 
@@ -138,6 +141,40 @@ def write_finished(task: Task, found: Recovered) -> Written:
     cloth = found.search.mesh_of(fitted)
     files += write_shape(job.out, task.name, cloth, fitted.nodes + wearer.trans, panel_texture(cloth))
     return Written(with_lines, pattern, style, files)
+
+
+def style_pattern(asked: Style, cut: Cut, pattern: Pattern, warnings: list[str]) -> tuple[Style, Pattern, Pattern]:
+    """Returns the style of a recovered ``pattern``, the pattern with its lines, and the same with all that is joined
+    and drafted besides.
+
+    ``asked`` is the style that the user asked for; the target's own collar (``cut``) is added unless it has one. If the
+    panels have no room for the lines, all of them are left out. ``warnings`` get a sentence on that, on a collar, and
+    on caps that are not smooth.
+    """
+    style = asked
+    if cut.collar_m and COLLAR not in asked.widths_m:
+        style = replace(asked, widths_m={**asked.widths_m, COLLAR: cut.collar_m})
+    try:
+        with_lines = add_style_lines(pattern, style)
+        cut_pattern = finish_pattern(with_lines, style)
+    except InputError as error:
+        warnings.append(f"The style lines ({style.words()}) were left out: {error}")
+        return NO_STYLE, pattern, pattern
+    if COLLAR in style.widths_m:
+        warnings.append(
+            f"The collar is drafted: straight, as long as the neckline, {100 * style.widths_m[COLLAR]:.1f} cm wide. "
+            "It was neither draped nor fitted."
+        )
+    if ribs := [name for name in RIBS if name in style.widths_m]:
+        shorter = ", ".join(f"{name.replace('_', ' ')} by {RIB_SHORTER[RIBS[name]]:.0%}" for name in ribs)
+        warnings.append(
+            f"Ribs are drafted: straight, in place of what was cut off, shorter than what holds them ({shorter}). "
+            "They were neither draped nor fitted."
+        )
+    if turned := {name: turn for name, turn in cap_corners_deg(cut_pattern).items() if turn > FAIR_DEG}:
+        words = " and ".join(f"that of {name} by {turn:.0f}" for name, turn in turned.items())
+        warnings.append(f"Where halves of sleeves met, their caps turn at a corner, {words} degrees: draw them fair.")
+    return style, with_lines, cut_pattern
 
 
 def measure_nearness(task: Task, found: Recovered, say: Say) -> Nearness:

@@ -9,8 +9,8 @@ import numpy as np
 
 from drape.cloth.material import MEASURED
 from drape.geometry import meshes
+from recovery.fit.objective import ease_left
 from recovery.fit.outcome import Recovered
-from recovery.fit.seams import ease_left
 from recovery.pattern import geometry
 from recovery.run import report_pictures
 from recovery.run.identify import CAP_M, corner_names, weak_words

@@ -19,15 +19,15 @@ from drape.garment.contours import lost_parts, lost_words, match_contours, open_
 from recovery import progress as watch
 from recovery.drape.output import write_rest
 from recovery.drape.pattern_drape import Draped, SewingOptions, drape_in_pose, drape_pattern
-from recovery.drape.posing import posed_joints, read_pose
-from recovery.fit.belt import hold_as_target
+from recovery.drape.placement import posed_joints, read_pose
 from recovery.fit.chamfer import SurfaceDistance, surface_distance
+from recovery.fit.forward import hold_as_target
 from recovery.fit.laying import OTHER_FOLDS_MM, Dressing, LaidDrape, Shown, laying_options
 from recovery.fit.outcome import Recovered
 from recovery.fit.starts import DrapeStart, sew_and_dress
 from recovery.pattern.sewing_pattern import Pattern
 from recovery.progress import Say
-from recovery.run.target_wearer import shape_body
+from recovery.run.target import shape_body
 from recovery.run.task import Task
 
 ANEW_MM = OTHER_FOLDS_MM  # more between the report's drape and the pattern sewn anew is a warning

@@ -11,23 +11,31 @@ import numpy as np
 from drape.errors import InputError
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake import garment_name
-from drape.garment.mesh_checks import Unit, Up, place_on_avatar
+from drape.garment.mesh_checks import Unit, Up
 from recovery import progress as watch
-from recovery.drape.posing import posed_joints
+from recovery.drape.placement import posed_joints
+from recovery.fit.grading import in_other_size
 from recovery.fit.rounds import RoundsOptions
 from recovery.pattern.bases import BASES, base_pattern, read_values
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.measurements import measure_body
 from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.style import NO_STYLE, Style, add_style_lines, finish_pattern
-from recovery.run.cut import Cut, collarless, differences, panel_count, tell_base
+from recovery.run.cut import Cut, SeenGarment, collarless, differences, panel_count, pieces, tell_base
 from recovery.run.draft import draft_near
-from recovery.run.finish import in_other_size
-from recovery.run.seen import SeenGarment, pieces
-from recovery.run.target import OPENINGS, check_base, close_but_openings, off_skin, placed_target
-from recovery.run.target_wearer import Front, TargetWearer, inside_wearer, read_target_wearer
+from recovery.run.target import (
+    OPENINGS,
+    Front,
+    TargetWearer,
+    check_base,
+    close_but_openings,
+    inside_wearer,
+    off_skin,
+    placed_target,
+    read_target_wearer,
+)
 from recovery.scan.holes import known_faces
-from recovery.scan.repair import ScanFault, on_body, read_target
+from recovery.scan.repair import read_target
 
 FIT_INSIDE = "fit"  # --body fit
 MINUTES = 20.0
@@ -105,8 +113,9 @@ def read_base(source: str, wearer: TargetWearer, settings: Sequence[str] = ()) -
 
 def prepare(job: RecoveryJob) -> Task:
     """Reads and checks all that ``job`` needs, and returns it as a task. The drape keeps cloth as far off the skin as
-    the target's lies."""
-    mesh, shown = _read(job)
+    the target's lies. Raises ``ScanFault`` with its place in the file, and ``InputError``."""
+    mesh = read_target(job.target, label=job.label)
+    shown = pieces(mesh)
     mesh, wearer = _on_wearer(job, mesh)
     joints = posed_joints(wearer.shaped, wearer.pose)
     with watch.stage("openings are told from holes"):
@@ -124,15 +133,6 @@ def prepare(job: RecoveryJob) -> Task:
     more_m = off_skin(replace(mesh, vertices=mesh.vertices + wearer.trans), wearer.skin, known)
     job = replace(job, search=replace(job.search, drape=replace(job.search.drape, off_skin_m=more_m)))
     return Task(job, name, mesh, wearer, replace(base, name=name), cut, known, _notes(mesh, wearer, cut, more_m))
-
-
-def _read(job: RecoveryJob) -> tuple[GarmentMesh, int | None]:
-    """The target as its file has it, mended, and the number of panels that its texture shows."""
-    try:
-        mesh = read_target(job.target, label=job.label)
-    except ScanFault as fault:
-        raise _placed_fault(fault, job) from fault
-    return mesh, pieces(mesh)
 
 
 def _on_wearer(job: RecoveryJob, mesh: GarmentMesh) -> tuple[GarmentMesh, TargetWearer]:
@@ -180,22 +180,3 @@ def _near_target(
     else:
         pattern = read_base(name, wearer, job.settings)
     return pattern, Cut(name, job.base is None, settings, differences(name, pattern, seen, body, shown))
-
-
-def _placed_fault(fault: ScanFault, job: RecoveryJob) -> ScanFault:
-    """``fault`` with its place on the wearer, where a wearer is given; otherwise it has its place in the file."""
-    if fault.mesh is None or job.body == FIT_INSIDE:
-        return fault
-    wearer = read_target_wearer(job.body, betas=job.betas, pose=job.pose)
-    try:
-        both = replace(fault.mesh, vertices=np.concatenate([fault.mesh.vertices, fault.points]))
-        both = place_on_avatar(both, wearer.skin, unit=job.unit, up=job.up).vertices
-    except InputError:
-        return fault
-    count = len(fault.mesh.vertices)
-    placed, points = replace(fault.mesh, vertices=both[:count]), both[count:]
-    joints = posed_joints(wearer.shaped, wearer.pose) + wearer.trans
-    words = on_body(points[0], placed, joints)
-    return ScanFault(fault.name, expected=fault.expected, got=f"{fault.got}; {words}", cure=fault.cure).at(
-        placed, points
-    )

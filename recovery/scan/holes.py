@@ -16,12 +16,13 @@ import numpy as np
 import scipy.sparse
 from scipy.sparse.linalg import spsolve
 
-from drape.garment.borders import Loop, borders, plainly_opening
+from drape.garment.contours import Loop, borders, plainly_opening
 from drape.garment.files.mesh import GarmentMesh
 from drape.geometry import mesh_graphs, meshes
 from recovery import progress
-from recovery.scan.thin import GROW, NOISE, SHRINK
 
+NOISE = 0.2  # of an edge: median second differences beyond it are noise; scans without any have up to 0.17
+SHRINK, GROW, SMOOTHINGS = 0.5, -0.53, 8  # of Taubin's smoothing, which keeps what is larger than a few edges
 CLOSED = "closed hole"  # the material of faces that close a hole
 LARGEST_BEND = 0.25  # of a rim's radius that a fair surface may rise above the flattest one
 MOUTH_SHARE, POCKET_SHARE = 0.3, 0.45  # of a border's length: mouth and depth line of a bite, at most

@@ -1,21 +1,128 @@
-"""The inputs of a simulation: the sewn mesh, the parameters that it is differentiated by, and the state."""
+"""A sewn mesh of cloth: its parameters and state, the energy of all of it with its derivatives, and their matrices.
+
+The formulas of membrane and bending are those of ``drape.cloth.membrane`` and ``drape.cloth.bending``. The mesh never
+changes, so static maps assemble it (section 3.4.3 and appendix B of Yu, Cordier and Seo 2024): one constant matrix of
+ones sums all element gradients into the nodes, another all element Hessians into the entries of the global matrix,
+whose pattern is fixed too. SuperLU factors that.
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse
 import torch
+from scipy.sparse.linalg import SuperLU, splu
 from torch import Tensor
 
 from drape.arrays import check_finite, check_shape
+from drape.cloth import bending, membrane
 from drape.cloth.material import OrthotropicMaterial
 from drape.cloth.membrane import RestTriangles, rest_triangles
 from drape.errors import InputError, MeshError
 from drape.geometry import meshes
-from recovery.sim.assembly import StaticAssembly
 
 SMALLEST_PANEL_SHARE = 1e-9  # of the mean rest triangle
+
+
+class StaticAssembly:
+    """Maps for groups of elements: ``elements`` are arrays (corner, n) of node numbers.
+
+    The unknowns are numbered ``3 node + coordinate``. ``fixed`` (V,) marks nodes that do not move: their rows and
+    columns of an assembled matrix are those of the identity.
+    """
+
+    def __init__(self, elements: list[np.ndarray], node_count: int, *, fixed: np.ndarray) -> None:
+        self.node_count = node_count
+        self.size = 3 * node_count
+        self.free = np.repeat(~fixed, 3)
+        unknowns = [
+            (3 * nodes[:, None] + np.arange(3)[None, :, None]).reshape(-1, nodes.shape[1]) for nodes in elements
+        ]
+        diagonal = np.arange(self.size).reshape(-1, 3)
+        row_groups = [np.broadcast_to(u[:, None], (len(u), *u.shape)) for u in unknowns]
+        column_groups = [np.broadcast_to(u[None], (len(u), *u.shape)) for u in unknowns]
+        row_groups.append(np.repeat(diagonal[:, :, None], 3, axis=2))
+        column_groups.append(np.repeat(diagonal[:, None, :], 3, axis=1))
+        # Column-major keys: SuperLU wants CSC, and the pattern is symmetric.
+        keys = [(c.reshape(-1) * self.size + r.reshape(-1)) for r, c in zip(row_groups, column_groups, strict=True)]
+        pattern, place = np.unique(np.concatenate(keys), return_inverse=True)
+        splits = np.cumsum([len(key) for key in keys])[:-1]
+        places = np.split(place.reshape(-1), splits)
+        self.entry_count = len(pattern)
+        self._rows = (pattern % self.size).astype(np.int32)
+        columns = pattern // self.size
+        self._starts = np.searchsorted(columns, np.arange(self.size + 1)).astype(np.int32)
+        self._hessian_maps = [_ones(where, self.entry_count) for where in places[:-1]]
+        self._block_places = places[-1].reshape(-1, 3, 3)
+        self._gradient_maps = [_ones(u.reshape(-1), self.size) for u in unknowns]
+        self._kept = self.free[self._rows] & self.free[columns]
+        self._fixed_diagonal = (self._rows == columns) & ~self.free[columns]
+
+    def gradient(self, stacks: list[np.ndarray]) -> np.ndarray:
+        """Sum (V, 3) of element gradients (corner, 3, n), one stack per group."""
+        pairs = zip(self._gradient_maps, stacks, strict=True)
+        return sum((one @ stack.reshape(-1) for one, stack in pairs), np.zeros(self.size)).reshape(-1, 3)
+
+    def matrix(self, stacks: list[np.ndarray], *, blocks: np.ndarray, scale: float) -> scipy.sparse.csc_matrix:
+        """Returns ``scale`` times the sum of element Hessians (3 corner, 3 corner, n), plus ``blocks`` (V, 3, 3) of
+        nodes.
+        """
+        data = np.zeros(self.entry_count)
+        for one, stack in zip(self._hessian_maps, stacks, strict=True):
+            data += one @ stack.reshape(-1)
+        data *= scale
+        data[self._block_places] += blocks
+        data *= self._kept
+        data[self._fixed_diagonal] = 1.0
+        return scipy.sparse.csc_matrix((data, self._rows, self._starts), shape=(self.size, self.size))
+
+
+def _ones(target: np.ndarray, count: int) -> scipy.sparse.csr_matrix:
+    """The matrix (count, n) that adds entry i of a vector to ``target[i]``."""
+    n = len(target)
+    return scipy.sparse.csr_matrix((np.ones(n), (target, np.arange(n))), shape=(count, n))
+
+
+class SingularMatrix(InputError):
+    """A matrix without an inverse. Whether one that is nearly so has a factor is rounding's choice."""
+
+
+class Factor:
+    """A sparse symmetric matrix A, factored: P A P^T = L U with pivots on its diagonal and a permutation P."""
+
+    def __init__(self, factor: SuperLU) -> None:
+        self._factor = factor
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """The solution (n,) for the right side (n,)."""
+        return self._factor.solve(rhs)
+
+    def negative_pivots(self) -> int:
+        """The number of negative eigenvalues (Sylvester's law)."""
+        return int((self._factor.U.diagonal() < 0.0).sum())
+
+
+def superlu(matrix: scipy.sparse.csc_matrix) -> Factor:
+    """SuperLU in its symmetric mode: ordering of A^T + A, pivots on the diagonal (half the time of the default)."""
+    if not np.isfinite(matrix.data).all():
+        raise InputError(
+            "simulation step",
+            expected="finite forces",
+            got="NaN or infinity in the system matrix",
+            cure="Check the start shape for collapsed triangles, or take a smaller time step.",
+        )
+    try:
+        factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError as error:
+        raise SingularMatrix(
+            "simulation step",
+            expected="a regular system matrix",
+            got=str(error),
+            cure="Fix some nodes or let the garment touch the body: nothing holds it.",
+        ) from error
+    return Factor(factor)
 
 
 class ClothState(NamedTuple):
@@ -192,3 +299,79 @@ def _marked(fixed: np.ndarray | None, count: int) -> np.ndarray:
 def _corners(vectors: Tensor, index: Tensor, count: int) -> Tensor:
     """Corners (count, D, n) of elements from ``vectors`` (V, D) at ``index`` (count * n,), all first corners first."""
     return vectors.T[:, index].reshape(vectors.shape[1], count, -1).transpose(0, 1)
+
+
+def elastic_energy(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor) -> Tensor:
+    """Elastic energy [J] () at nodes ``x`` (V, 3)."""
+    stretched = membrane.membrane_energy(model.triangles(x), rest.triangles, parameters.membrane)
+    return stretched.sum() + bending.bending_energy(model.hinges(x), *_hinges(model, rest, parameters)).sum()
+
+
+def elastic_forces(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor) -> Tensor:
+    """Elastic forces [N] (V, 3): minus the derivative of ``elastic_energy``, assembled by the static map.
+
+    It has no gradient.
+    """
+    return -torch.from_numpy(model.assembly.gradient(_numpy(_gradients(model, rest, parameters, x))))
+
+
+def elastic_hessian(
+    model: ClothModel,
+    rest: Rest,
+    parameters: Parameters,
+    x: Tensor,
+    *,
+    definite: bool,
+    scale: float = 1.0,
+    blocks: np.ndarray | None = None,
+) -> scipy.sparse.csc_matrix:
+    """Returns ``scale`` times the second derivative [N/m] (3V, 3V) of ``elastic_energy``, plus ``blocks`` (V, 3, 3)
+    of the nodes.
+
+    Rows and columns of fixed nodes are those of the identity. ``definite`` makes every element positive semidefinite:
+    triangles keep the tensile stress only, hinges are as stiff as unbent ones.
+    """
+    stretched = membrane.membrane_hessian(model.triangles(x), rest.triangles, parameters.membrane, definite=definite)
+    bent = bending.bending_hessian(model.hinges(x), *_hinges(model, rest, parameters), definite=definite)
+    blocks = np.zeros((model.node_count, 3, 3)) if blocks is None else blocks
+    return model.assembly.matrix(_numpy([stretched, bent]), blocks=blocks, scale=scale)
+
+
+def elastic_work(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor, direction: Tensor) -> Tensor:
+    """The derivative () of ``elastic_energy`` along ``direction`` (V, 3), in [J] for a direction in [m]; differentiable
+    once more.
+    """
+    directions = model.triangles(direction), model.hinges(direction)
+    gradients = _gradients(model, rest, parameters, x)
+    return torch.stack([(slope * way).sum() for slope, way in zip(gradients, directions, strict=True)]).sum()
+
+
+def elastic_bilinear(
+    model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor, left: Tensor, right: Tensor
+) -> Tensor:
+    """The number ``left``^T H ``right`` () for the definite ``elastic_hessian`` H and node vectors (V, 3), without the
+    matrix; differentiable once more.
+    """
+    stretched = membrane.membrane_bilinear(
+        model.triangles(x), rest.triangles, parameters.membrane, model.triangles(left), model.triangles(right)
+    )
+    stiffness_j, _ = _hinges(model, rest, parameters)
+    bent = bending.bending_bilinear(model.hinges(x), stiffness_j, model.hinges(left), model.hinges(right))
+    return stretched.sum() + bent.sum()
+
+
+def _gradients(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor) -> list[Tensor]:
+    """Derivatives [N] of ``elastic_energy`` by the corners of triangles (3, 3, F) and hinges (4, 3, H)."""
+    return [
+        membrane.membrane_gradient(model.triangles(x), rest.triangles, parameters.membrane),
+        bending.bending_gradient(model.hinges(x), *_hinges(model, rest, parameters)),
+    ]
+
+
+def _hinges(model: ClothModel, rest: Rest, parameters: Parameters) -> tuple[Tensor, Tensor]:
+    """Stiffness [J] and angle at rest [rad] (H,) of the hinges."""
+    return parameters.bending_j * rest.hinge_weight, model.rest_angle
+
+
+def _numpy(stacks: list[Tensor]) -> list[np.ndarray]:
+    return [stack.detach().numpy() for stack in stacks]

@@ -1,20 +1,35 @@
-"""Gradients through the solution of equations: one adjoint solve, then one scalar to differentiate.
+"""Implicit steps: the linearised Euler step of Yu, Cordier and Seo (2024), their equation 1, and what all steps share.
 
-A problem finds s with r(s, p) = 0, where p are the leaves: state and parameters. With A = dr/ds symmetric and
-A w = dL/ds, the derivative dL/dp is that of the scalar -w . r(s, p) with w and s held. The scalar is a sum
-over elements, so that no third derivative of an energy is ever stored.
+Gradients go through the solution of equations by one adjoint solve and one scalar to differentiate. A problem finds s
+with r(s, p) = 0, where p are the leaves: state and parameters. With A = dr/ds symmetric and A w = dL/ds, the
+derivative dL/dp is that of the scalar -w . r(s, p) with w and s held. The scalar is a sum over elements, so that no
+third derivative of an energy is ever stored.
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
+import scipy.sparse
 import torch
 from torch import Tensor
 
-from recovery.sim.assembly import Factor
-from recovery.sim.cloth_model import ClothState, Parameters
+from recovery.sim.cloth_model import (
+    ClothModel,
+    ClothState,
+    Factor,
+    Parameters,
+    Rest,
+    elastic_bilinear,
+    elastic_forces,
+    elastic_hessian,
+    elastic_work,
+    superlu,
+)
+from recovery.sim.skin_contact import SkinContact, tangential
+
+DAMPED_DT_S = 0.033
 
 
 class ImplicitProblem(Protocol):
@@ -68,6 +83,154 @@ def _unpacked(leaves: tuple[Tensor, ...] | list[Tensor]) -> tuple[ClothState, Pa
     return ClothState(*leaves[:2]), Parameters(*leaves[2:])
 
 
-def solution(problem: ImplicitProblem, state: ClothState, parameters: Parameters) -> Tensor:
+def implicit_solution(problem: ImplicitProblem, state: ClothState, parameters: Parameters) -> Tensor:
     """The problem's solution (V, 3), differentiable once by ``state`` and ``parameters``."""
     return _Implicit.apply(problem, *state, *parameters)  # type: ignore[return-value]
+
+
+class SpringForces(NamedTuple):
+    """Springs between nodes besides the cloth: force [N] (V, 3) and stiffness [N/m] (3V, 3V), zero at fixed nodes."""
+
+    force: Tensor
+    stiffness: scipy.sparse.csc_matrix
+
+
+class LinearisedStep:
+    """The equations of a step: (M + dt^2 K + dt D) dv = dt (f - dt K v - D v), with K the definite part of -df/dx and D
+    the drag of friction.
+
+    With the whole of -df/dx the matrix would be indefinite as soon as cloth is compressed.
+    """
+
+    def __init__(
+        self, model: ClothModel, contact: SkinContact | None, *, dt_s: float, pairs: SpringForces | None = None
+    ) -> None:
+        self.model, self.contact, self.pairs, self.dt_s = model, contact, pairs, dt_s
+        self._factor: Factor | None = None
+
+    @property
+    def free(self) -> Tensor:
+        return self.model.free
+
+    def solve(self, state: ClothState, parameters: Parameters) -> Tensor:
+        with torch.no_grad():
+            model, dt = self.model, self.dt_s
+            rest = model.rest(parameters.panels)
+            force = elastic_forces(model, rest, parameters, state.x) + self._outer_force(state.x, rest, parameters)
+            mass = parameters.density_kg_m2 * rest.node_area
+            matrix = elastic_hessian(
+                model,
+                rest,
+                parameters,
+                state.x,
+                definite=True,
+                scale=dt * dt,
+                blocks=self._blocks(state, rest, mass).numpy(),
+            )
+            if self.pairs is not None:
+                force = force + self.pairs.force
+                matrix = (matrix + dt * dt * self.pairs.stiffness).tocsc()
+            moving = (self.free * state.v).reshape(-1).numpy()
+            resisted = torch.from_numpy(matrix @ moving).reshape(-1, 3) - mass[:, None] * state.v
+            rhs = self.free * (dt * force - resisted)
+            self._factor = superlu(matrix)
+            return torch.from_numpy(self._factor.solve(np.ascontiguousarray(rhs.numpy()).reshape(-1))).reshape(-1, 3)
+
+    def factor(self, solution: Tensor, state: ClothState, parameters: Parameters) -> Factor:
+        if self._factor is None:
+            self.solve(state, parameters)
+        assert self._factor is not None
+        return self._factor
+
+    def adjoint(self, weights: Tensor, solution: Tensor, state: ClothState, parameters: Parameters) -> Tensor:
+        model, dt = self.model, self.dt_s
+        rest = model.rest(parameters.panels)
+        mass = parameters.density_kg_m2 * rest.node_area
+        after = self.free * (state.v + solution)
+        pushed = (weights * self._outer_force(state.x, rest, parameters)).sum()
+        total = dt * (pushed - elastic_work(model, rest, parameters, state.x, weights))
+        total = total - (mass[:, None] * weights * solution).sum()
+        total = total - dt * dt * elastic_bilinear(model, rest, parameters, state.x, weights, after)
+        if self.contact is not None:
+            scale, r = self.contact.stiffness(state.x, rest.node_area)
+            total = total - dt * dt * (scale * (weights * r).sum(dim=1) * (after * r).sum(dim=1)).sum()
+            drag, normal = self.contact.drag(state.x, state.v, rest.node_area)
+            total = total - dt * (drag * (weights * tangential(after, normal)).sum(dim=1)).sum()
+        return total
+
+    def _outer_force(self, x: Tensor, rest: Rest, parameters: Parameters) -> Tensor:
+        """Weight, given forces and repulsion [N] (V, 3)."""
+        force = parameters.force_n + (parameters.density_kg_m2 * rest.node_area)[:, None] * self.model.gravity
+        return force if self.contact is None else force + self.contact.force(x, rest.node_area)
+
+    def _blocks(self, state: ClothState, rest: Rest, mass: Tensor) -> Tensor:
+        """The system's blocks (V, 3, 3) of single nodes: mass, repulsion, drag."""
+        identity = torch.eye(3, dtype=mass.dtype)
+        blocks = mass[:, None, None] * identity
+        if self.contact is not None:
+            scale, r = self.contact.stiffness(state.x, rest.node_area)
+            drag, n = self.contact.drag(state.x, state.v, rest.node_area)
+            blocks = blocks + (self.dt_s**2 * scale)[:, None, None] * r[:, :, None] * r[:, None, :]
+            blocks = blocks + (self.dt_s * drag)[:, None, None] * (identity - n[:, :, None] * n[:, None, :])
+        return blocks
+
+
+def linearised_step(
+    model: ClothModel,
+    state: ClothState,
+    parameters: Parameters,
+    *,
+    dt_s: float,
+    contact: SkinContact | None = None,
+    pairs: SpringForces | None = None,
+) -> ClothState:
+    """The state ``dt_s`` [s] later after one linear solve (equation 1), then equation 4's correction.
+
+    ``pairs`` are springs between parts of the cloth, constant during the step, without a gradient. The factor is
+    kept for the backward pass; differentiable once.
+    """
+    step = LinearisedStep(model, contact, dt_s=dt_s, pairs=pairs)
+    v = state.v + implicit_solution(step, state, parameters)
+    after = ClothState(state.x + dt_s * v, v)
+    return after if contact is None else contact.corrected(after, model.free)
+
+
+def damped_step(
+    model: ClothModel,
+    state: ClothState,
+    parameters: Parameters,
+    contact: SkinContact,
+    *,
+    kept: float,
+    longest_m: float,
+    pairs: SpringForces | None = None,
+) -> tuple[ClothState, float]:
+    """The state ``DAMPED_DT_S`` later and the longest move [m], for cloth that shall come to rest in its folds.
+
+    No node moves more than ``longest_m`` [m], and the next step begins with the share ``kept`` of this one's speed.
+    """
+    with torch.no_grad():
+        after = linearised_step(model, state, parameters, dt_s=DAMPED_DT_S, contact=contact, pairs=pairs)
+        move = after.x - state.x
+        longest = float(move.norm(dim=1).max())
+        move = min(1.0, longest_m / max(longest, 1e-12)) * move
+        x, v = state.x + move, kept * move / DAMPED_DT_S
+        # A node that lands stays: the repulsion of one step must not throw it off the skin in the next.
+        distance, normal = contact.body(x)
+        outward = torch.clamp((v * normal).sum(dim=1, keepdim=True), min=0.0)
+        return ClothState(x, v - (distance < 1.2 * contact.gap_m)[:, None] * outward * normal), longest
+
+
+def simulate_steps(
+    model: ClothModel,
+    state: ClothState,
+    parameters: Parameters,
+    *,
+    dt_s: float,
+    steps: int,
+    contact: SkinContact | None = None,
+) -> ClothState:
+    """The state after ``steps`` linearised steps of ``dt_s`` [s]."""
+    for _ in range(steps):
+        state = linearised_step(model, state, parameters, dt_s=dt_s, contact=contact)
+    return state

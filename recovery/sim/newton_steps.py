@@ -17,9 +17,19 @@ from torch import Tensor
 
 from drape.errors import InputError
 from recovery import progress
-from recovery.sim import elastic, implicit
-from recovery.sim.assembly import Factor, SingularMatrix, superlu
-from recovery.sim.cloth_model import ClothModel, ClothState, Parameters
+from recovery.sim.cloth_model import (
+    ClothModel,
+    ClothState,
+    Factor,
+    Parameters,
+    SingularMatrix,
+    elastic_energy,
+    elastic_forces,
+    elastic_hessian,
+    elastic_work,
+    superlu,
+)
+from recovery.sim.implicit import implicit_solution
 from recovery.sim.skin_contact import SkinContact
 
 TOLERANCE_N = 1e-8  # largest component of the force left at a node; a node weighs about 1e-3 N
@@ -56,7 +66,7 @@ class _Potential:
 
     def energy(self, x: Tensor) -> Tensor:
         """Potential [J] () at ``x``."""
-        value = elastic.elastic_energy(self.model, self.rest, self.parameters, x) - (self._load * x).sum()
+        value = elastic_energy(self.model, self.rest, self.parameters, x) - (self._load * x).sum()
         if self.dt_s is not None:
             off = x - self.state.x - self.dt_s * self.state.v
             value = value + (self._mass[:, None] * off * off).sum() / (2.0 * self.dt_s**2)
@@ -76,12 +86,12 @@ class _Potential:
 
     def residual(self, x: Tensor) -> Tensor:
         """Derivative [N] (V, 3) of the potential, zero at fixed nodes."""
-        return self.model.free * (self.node_residual(x) - elastic.forces(self.model, self.rest, self.parameters, x))
+        return self.model.free * (self.node_residual(x) - elastic_forces(self.model, self.rest, self.parameters, x))
 
     def factored(self, x: Tensor, *, exact: bool, shift: float = 0.0) -> Factor:
         """The Hessian, factored: ``exact``, or a definite one; ``shift`` [1/s^2] times the mass is added."""
         blocks = self._blocks(x, exact=exact, shift=shift).detach().numpy()
-        hessian = elastic.elastic_hessian(self.model, self.rest, self.parameters, x, definite=not exact, blocks=blocks)
+        hessian = elastic_hessian(self.model, self.rest, self.parameters, x, definite=not exact, blocks=blocks)
         return superlu(hessian)
 
     def direction(self, x: Tensor, residual: Tensor, *, exact: bool, shift: float) -> Tensor:
@@ -185,7 +195,7 @@ class Minimum:
         potential = self._potential(state, parameters)
         x = _held(self.model, solution, state)
         nodes = (weights * potential.node_residual(x)).sum()
-        return -nodes - elastic.work(self.model, potential.rest, parameters, x, weights)
+        return -nodes - elastic_work(self.model, potential.rest, parameters, x, weights)
 
     def _potential(self, state: ClothState, parameters: Parameters) -> _Potential:
         return _Potential(self.model, self.contact, self.dt_s, state, parameters)
@@ -235,7 +245,7 @@ def newton_step(
     that did not converge, because its gradient would be that of something else.
     """
     step = Minimum(model, contact, dt_s=dt_s, tolerance_n=tolerance_n, iteration_limit=iteration_limit)
-    x = _held(model, implicit.solution(step, state, parameters), state)
+    x = _held(model, implicit_solution(step, state, parameters), state)
     return ClothState(x, (x - state.x) / dt_s), step.report
 
 
@@ -250,5 +260,5 @@ def equilibrium(
 ) -> tuple[ClothState, Report]:
     """A drape at rest near ``state``, without friction, and how the solve ended; differentiable as ``newton_step``."""
     drape = Minimum(model, contact, dt_s=None, tolerance_n=tolerance_n, iteration_limit=iteration_limit)
-    x = _held(model, implicit.solution(drape, state, parameters), state)
+    x = _held(model, implicit_solution(drape, state, parameters), state)
     return ClothState(x, torch.zeros_like(x)), drape.report

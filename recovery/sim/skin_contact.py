@@ -1,15 +1,187 @@
-"""Contact with a body given by its signed distance: repulsion, friction, and the correction of equation 4."""
+"""The body that cloth meets: its signed distance, and contact by it: repulsion, friction, and equation 4's correction.
+
+A shape is a function from points [m] (N, 3) to the distance [m] (N,), positive outside, and its spatial
+gradient (N, 3): a plane, a sphere, or a grid of any closed mesh. Both are made of differentiable operations, so that
+contact forces have derivatives.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+import scipy.ndimage
 import torch
 from torch import Tensor
 
-from drape.errors import InputError
+from drape.arrays import check_finite, check_shape
+from drape.errors import InputError, MeshError
+from drape.geometry import closest, meshes
 from recovery.sim.cloth_model import ClothState
-from recovery.sim.sdf import SignedDistance
+
+SignedDistance = Callable[[Tensor], tuple[Tensor, Tensor]]
+BORDER = 12  # cells; the filter's memory falls by 0.27 per cell
+LARGEST_GRID = 40_000_000  # nodes, 320 MB
+
+
+@dataclass(frozen=True)
+class PlaneDistance:
+    """The half space below the plane through ``point`` [m] with outward ``normal``."""
+
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    normal: tuple[float, float, float] = (0.0, 1.0, 0.0)
+
+    def __call__(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        normal = torch.tensor(self.normal, dtype=points.dtype)
+        normal = normal / torch.linalg.vector_norm(normal)
+        distance = (points - torch.tensor(self.point, dtype=points.dtype)) @ normal
+        return distance, normal.expand(points.shape)
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """The ball of ``radius_m`` about ``centre`` [m]."""
+
+    centre: tuple[float, float, float]
+    radius_m: float
+
+    def __call__(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        arm = points - torch.tensor(self.centre, dtype=points.dtype)
+        length = torch.sqrt((arm * arm).sum(dim=1) + 1e-30)  # finite gradient at the centre
+        return length - self.radius_m, arm / length[:, None]
+
+
+@dataclass(frozen=True)
+class Grown:
+    """The body ``bare`` grown by ``by_m`` [m] on all sides: cloth rests that much farther off its skin."""
+
+    bare: SignedDistance
+    by_m: float
+
+    def __call__(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        distance, gradient = self.bare(points)
+        return distance - self.by_m, gradient
+
+
+def bare(body: SignedDistance) -> SignedDistance:
+    """Returns ``body`` without the skin by which it was ``Grown``."""
+    return body.bare if isinstance(body, Grown) else body
+
+
+class GridDistance:
+    """A C2 tricubic B-spline through distances sampled on a grid.
+
+    ``values`` [m] (X, Y, Z) at ``origin`` [m] (3,) + ``spacing_m`` * index. Outside the grid the distance
+    to the grid is added.
+    """
+
+    def __init__(self, values: np.ndarray, origin: np.ndarray, spacing_m: float) -> None:
+        check_shape("values", values, (None, None, None))
+        check_finite("values", values)
+        if min(values.shape) < 4 or not 0.0 < spacing_m < np.inf:
+            raise InputError(
+                "grid",
+                expected="at least 4 nodes along every axis and a spacing > 0",
+                got=f"{values.shape} nodes, spacing {spacing_m}",
+                cure="Sample a larger or finer grid.",
+            )
+        # Odd reflection continues slopes; the filter's own border would bend them and ring for some cells.
+        padded = np.pad(np.asarray(values, dtype=np.float64), BORDER, mode="reflect", reflect_type="odd")
+        inner = (slice(BORDER, -BORDER),) * 3
+        coefficients = scipy.ndimage.spline_filter(padded, order=3, mode="mirror")[inner]
+        self.shape = coefficients.shape
+        self.spacing_m = float(spacing_m)
+        self._flat = torch.from_numpy(np.ascontiguousarray(coefficients)).reshape(-1)
+        self._origin = torch.tensor(np.asarray(origin, dtype=np.float64))
+        self._last = torch.tensor(self.shape, dtype=torch.float64) - 1.0
+        x, y, z = (torch.arange(4) * step for step in (self.shape[1] * self.shape[2], self.shape[2], 1))
+        self._taps = (x[:, None, None] + y[:, None] + z).reshape(-1)
+
+    @classmethod
+    def from_mesh(
+        cls, vertices: np.ndarray, faces: np.ndarray, *, spacing_m: float = 0.01, margin_m: float = 0.05
+    ) -> GridDistance:
+        """Distances to a closed mesh, sampled in its box and ``margin_m`` around it."""
+        faces = check_closed(vertices, faces)
+        if not (0.0 < spacing_m < np.inf and 0.0 <= margin_m < np.inf):
+            raise InputError(
+                "spacing_m and margin_m", expected="lengths > 0", got=f"{spacing_m}, {margin_m}", cure="Pass metres."
+            )
+        low = vertices.min(axis=0) - margin_m - spacing_m
+        counts = np.ceil((vertices.max(axis=0) + margin_m + spacing_m - low) / spacing_m).astype(int) + 1
+        if counts.prod() > LARGEST_GRID:
+            raise InputError(
+                "spacing_m",
+                expected=f"at most {LARGEST_GRID} grid nodes",
+                got=f"{counts.prod()}",
+                cure="Take a coarser spacing, and check that the body is in metres.",
+            )
+        axes = [origin + spacing_m * np.arange(count) for origin, count in zip(low, counts, strict=True)]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        return cls(closest.signed_distance(points, vertices, faces).reshape(counts), low, spacing_m)
+
+    def __call__(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        scaled = (points - self._origin) / self.spacing_m
+        # Taps i - 1 .. i + 2 must exist, so the outermost cells are outside.
+        inside = torch.minimum(torch.clamp(scaled, min=1.0), self._last - 1.0)
+        cell = torch.minimum(torch.floor(inside.detach()), self._last - 2.0)
+        t = inside - cell
+        first = (cell - 1.0).to(torch.int64)
+        start = (first[:, 0] * self.shape[1] + first[:, 1]) * self.shape[2] + first[:, 2]
+        taps = self._flat[start[:, None] + self._taps].reshape(-1, 4, 4, 4)
+        weight, slope = _bspline(t), _bspline_slope(t)
+        z, dz = _contract(taps, weight[:, 2]), _contract(taps, slope[:, 2])
+        zy, dzy, zdy = _contract(z, weight[:, 1]), _contract(dz, weight[:, 1]), _contract(z, slope[:, 1])
+        value = _contract(zy, weight[:, 0])
+        gradient = torch.stack(
+            [_contract(zy, slope[:, 0]), _contract(zdy, weight[:, 0]), _contract(dzy, weight[:, 0])], dim=1
+        )
+        return extend_distance(value, gradient / self.spacing_m, (scaled - inside) * self.spacing_m)
+
+
+def check_closed(vertices: np.ndarray, faces: np.ndarray, name: str = "body") -> np.ndarray:
+    """Returns ``faces`` (F, 3) as integers. Raises ``MeshError`` for an open or empty mesh: it has no inside."""
+    faces = meshes.check_faces(faces, len(vertices))
+    loops = meshes.boundary_loops(faces)
+    if len(faces) == 0 or loops:
+        raise MeshError(
+            name,
+            expected="a closed surface",
+            got=f"{len(loops)} open borders" if len(faces) else "no triangles",
+            cure="Close its holes (neck, wrists, eyes), and join copies of vertices: what is inside must be defined.",
+        )
+    return faces
+
+
+def extend_distance(value: Tensor, gradient: Tensor, off: Tensor) -> tuple[Tensor, Tensor]:
+    """A distance [m] (N,) and its gradient (N, 3), known in a box, at points outside of it.
+
+    ``off`` [m] (N, 3) leads from the nearest point of the box, where they are known, to the point; its length is added.
+    """
+    far = (off != 0.0).any(dim=1)
+    if not far.any():
+        return value, gradient
+    length = torch.sqrt(torch.where(far, (off * off).sum(dim=1), 1.0))
+    gradient = torch.where(off != 0.0, off / length[:, None], gradient)
+    return value + torch.where(far, length, 0.0), gradient
+
+
+def _contract(taps: Tensor, weight: Tensor) -> Tensor:
+    """Sum over the last axis of ``taps`` (N, ..., 4) with ``weight`` (N, 4)."""
+    return (taps * weight.reshape(len(weight), *(1,) * (taps.ndim - 2), 4)).sum(dim=-1)
+
+
+def _bspline(t: Tensor) -> Tensor:
+    """Weights (..., 4) of the cubic B-spline at ``t`` in [0, 1]."""
+    s = 1.0 - t
+    middle = (4.0 - 6.0 * t * t + 3.0 * t**3, 4.0 - 6.0 * s * s + 3.0 * s**3)
+    return torch.stack([s**3, *middle, t**3], dim=-1) / 6.0
+
+
+def _bspline_slope(t: Tensor) -> Tensor:
+    s = 1.0 - t
+    return torch.stack([-s * s, 3.0 * t * t - 4.0 * t, 4.0 * s - 3.0 * s * s, t * t], dim=-1) / 2.0
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from drape.cloth.material import OrthotropicMaterial
 from recovery.sim.cloth_model import ClothModel, ClothState, Parameters, Rest
-from recovery.sim.linearised import linearised_step
+from recovery.sim.implicit import linearised_step
 from recovery.sim.newton_steps import TOLERANCE_N, newton_step
 from recovery.sim.skin_contact import SkinContact
 

@@ -20,7 +20,7 @@ from recovery.catalogue.fall import Fall
 from recovery.catalogue.size_tables import choose_points, grade_sizes, round_to
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.pattern_mesh import mesh_pattern
-from recovery.sim.sdf import GridDistance
+from recovery.sim.skin_contact import GridDistance
 from tests.recovery.pattern_setup import default_measurements
 
 

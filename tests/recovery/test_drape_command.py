@@ -21,7 +21,7 @@ from drape.motion.samples import walk
 from recovery.drape.__main__ import left_words, main
 from recovery.drape.output import glb_bytes, panel_texture, sewn_obj_text
 from recovery.drape.pattern_drape import SewingOptions, drape_pattern
-from recovery.drape.posing import LARGEST_TURN_RAD, move_with_bones, pose_steps, read_pose
+from recovery.drape.placement import LARGEST_TURN_RAD, move_with_bones, pose_steps, read_pose
 from recovery.pattern.bases import skirt
 from recovery.pattern.garmentcode import read_pattern, write_pattern
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern

@@ -38,8 +38,7 @@ from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.style import Style, add_style_lines
 from recovery.sim.cloth_model import ClothModel, ClothState, Parameters
 from recovery.sim.newton_steps import equilibrium
-from recovery.sim.sdf import GridDistance, PlaneDistance, SignedDistance, Sphere
-from recovery.sim.skin_contact import SkinContact
+from recovery.sim.skin_contact import GridDistance, PlaneDistance, SignedDistance, SkinContact, Sphere
 from tests.recovery.pattern_setup import default_measurements, lowered, rectangle, tube
 from tests.recovery.sim_setup import WOVEN
 

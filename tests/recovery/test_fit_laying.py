@@ -28,7 +28,7 @@ from recovery.pattern.bases import base_pattern
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
 from recovery.pattern.sewing_pattern import Pattern
 from recovery.sim.newton_steps import Report
-from recovery.sim.sdf import PlaneDistance, Sphere
+from recovery.sim.skin_contact import PlaneDistance, Sphere
 from tests.recovery.pattern_setup import default_measurements, rectangle
 from tests.recovery.sim_setup import WOVEN
 

@@ -14,8 +14,7 @@ from numpy.testing import assert_allclose
 
 from drape.errors import ArtifactError, InputError
 from drape.garment.contours import Contour, ContourPlace, Match, open_contours
-from recovery.fit.belt import belt_on
-from recovery.fit.forward import RestDrape
+from recovery.fit.forward import RestDrape, belt_on
 from recovery.fit.objective import (
     Objective,
     TargetSurface,
@@ -31,7 +30,7 @@ from recovery.pattern.coordinates import control_points, with_controls
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
 from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.symmetry import find_symmetries, free_controls
-from recovery.sim.sdf import Sphere
+from recovery.sim.skin_contact import Sphere
 from tests.drape.geometry.geometry_shapes import icosphere
 from tests.recovery.pattern_error import pattern_error
 from tests.recovery.pattern_setup import default_measurements, rectangle, tube

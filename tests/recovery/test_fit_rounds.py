@@ -16,7 +16,7 @@ from drape.garment.contours import match_contours, open_contours
 from recovery.drape.pattern_drape import SewingOptions, drape_pattern, hanging
 from recovery.drape.placement import scale_pattern
 from recovery.fit import starts
-from recovery.fit.belt import hold_as_target
+from recovery.fit.forward import hold_as_target
 from recovery.fit.laying import EDGE_M, Shown
 from recovery.fit.objective import TargetSurface, nearest_on_line
 from recovery.fit.optimise import FitOptions
@@ -24,7 +24,7 @@ from recovery.fit.outcome import Recovered
 from recovery.fit.rounds import RoundsOptions, _Rounds, recover_pattern
 from recovery.pattern.bases import skirt, tshirt
 from recovery.run.sew_anew import sew_anew
-from recovery.sim.sdf import GridDistance
+from recovery.sim.skin_contact import GridDistance
 from tests.recovery.pattern_error import pattern_error
 from tests.recovery.pattern_setup import default_measurements
 

@@ -9,8 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.errors import InputError
+from recovery.fit.objective import SeamConstraint, ease_left, sewable, wanted_ratios
 from recovery.fit.optimise import FitOptions, PatternSearch
-from recovery.fit.seams import SeamConstraint, ease_left, sewable, wanted_ratios
 from recovery.pattern import geometry
 from recovery.pattern.bases import tshirt
 from recovery.pattern.coordinates import control_points, with_controls

@@ -26,7 +26,7 @@ from recovery.pattern.skirts import SkirtCut, a_line, circle, panelled_skirt
 from recovery.pattern.tops import CAP_EASE, Sleeve, TopCut, cap, lines, top
 from recovery.pattern.trousers import LegCut
 from recovery.pattern.trousers import trousers as legs
-from recovery.run.target_wearer import shape_body
+from recovery.run.target import shape_body
 from tests.recovery.pattern_setup import default_measurements
 
 OPENINGS = {

@@ -23,11 +23,11 @@ from recovery.pattern.export_dxf import write_dxf
 from recovery.pattern.export_pdf import write_pdf
 from recovery.pattern.export_svg import write_svg
 from recovery.pattern.garmentcode import read_pattern, write_pattern
+from recovery.pattern.geometry import boundary_distance
 from recovery.pattern.pattern_files import FORMATS, export_pattern
 from recovery.pattern.pieces import CuttingSheet, make_sheet
 from recovery.pattern.sewing_pattern import EdgeKind, EdgeRef, Panel, Pattern
 from recovery.pattern.style import Style, add_style_lines, finish_pattern
-from recovery.pattern.triangulate import boundary_distance
 from tests.recovery.pattern_setup import (
     assert_same_pattern,
     default_measurements,

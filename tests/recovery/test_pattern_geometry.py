@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 from drape.errors import InputError
 from recovery.pattern import geometry
+from recovery.pattern.pattern_mesh import segment_counts
 from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, Pattern
 from tests.recovery.pattern_setup import curved, rectangle, tube
 
@@ -108,13 +109,13 @@ def test_flattening_keeps_its_tolerance():
 
 def test_both_sides_of_a_stitch_get_the_same_number_of_segments():
     pattern = tube(front=rectangle("front", height=0.6), back=rectangle("back", height=0.7))
-    counts = geometry.segment_counts(pattern, 0.05)
+    counts = segment_counts(pattern, 0.05)
     assert counts[EdgeRef("front", 1)] == counts[EdgeRef("back", 3)] == 13  # of the mean
     assert counts[EdgeRef("front", 0)] == 8
-    assert geometry.segment_counts(pattern, 9.0)[EdgeRef("front", 1)] == 1
+    assert segment_counts(pattern, 9.0)[EdgeRef("front", 1)] == 1
     for wrong in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(InputError, match="edge_length_m"):
-            geometry.segment_counts(pattern, wrong)
+            segment_counts(pattern, wrong)
 
 
 def test_the_mismatch_of_a_seam_is_relative_to_the_mean():

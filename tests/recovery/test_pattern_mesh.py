@@ -19,9 +19,8 @@ from recovery.pattern.coordinates import (
     with_controls,
 )
 from recovery.pattern.garmentcode import read_pattern
-from recovery.pattern.pattern_mesh import mesh_pattern
+from recovery.pattern.pattern_mesh import corner_angles_deg, mesh_pattern, segment_counts, triangulate
 from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
-from recovery.pattern.triangulate import corner_angles_deg, triangulate
 from recovery.sim.cloth_model import ClothModel
 from tests.recovery.pattern_setup import curved, rectangle, tube
 from tests.recovery.sim_setup import WOVEN
@@ -71,7 +70,7 @@ def test_a_mirrored_panel_gets_the_mirrored_mesh():
 
 
 def _cut(panel: Panel, edge: float) -> np.ndarray:
-    counts = geometry.segment_counts(Pattern("one", (panel,)), edge)
+    counts = segment_counts(Pattern("one", (panel,)), edge)
     parts = [
         geometry.edge_points(panel, number, geometry.equal_parameters(side, counts[EdgeRef(panel.name, number)])[:-1])
         for number, side in enumerate(panel.edges)

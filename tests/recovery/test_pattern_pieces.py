@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 from recovery.catalogue.cuts import CATALOGUE
 from recovery.pattern import geometry
 from recovery.pattern.bases import tshirt
+from recovery.pattern.geometry import boundary_distance, inside
 from recovery.pattern.pieces import NOTCH_DEPTH_M, Piece, hems, make_sheet, offset
 from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
-from recovery.pattern.triangulate import boundary_distance, inside
 from tests.recovery.pattern_setup import default_measurements, every_curve, polygon_mm, rectangle, tube
 
 ALLOWANCE_M = 0.01

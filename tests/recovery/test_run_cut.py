@@ -17,7 +17,8 @@ from drape.garment.contours import TRUNK
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.geometry import meshes
 from recovery.catalogue.cuts import CATALOGUE
-from recovery.fit.seams import ease_left
+from recovery.fit.grading import in_other_size
+from recovery.fit.objective import ease_left
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES
 from recovery.pattern.coordinates import control_points, with_controls
@@ -25,12 +26,22 @@ from recovery.pattern.measurements import in_size
 from recovery.pattern.pattern_mesh import mesh_pattern
 from recovery.pattern.shirts import FALL_M, STAND_M
 from recovery.pattern.style import NO_STYLE, Style
-from recovery.run.cut import Cut, below, collarless, differences, has_collar, panel_count, ring_panels, tell_base
+from recovery.run.cut import (
+    Cut,
+    SeenGarment,
+    below,
+    collarless,
+    differences,
+    girth_round,
+    has_collar,
+    panel_count,
+    pieces,
+    ring_panels,
+    tell_base,
+)
 from recovery.run.draft import RANGES, draft_near, own_settings, read_settings
-from recovery.run.finish import in_other_size, style_pattern
-from recovery.run.seen import SeenGarment, girth_round, pieces
-from recovery.run.target import OF_TOPS, close_but_openings
-from recovery.run.target_wearer import long_contours
+from recovery.run.job import style_pattern
+from recovery.run.target import OF_TOPS, close_but_openings, long_contours
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_setup import bent_cap, default_measurements
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
-from recovery.run.target_wearer import facing, inside_wearer, turn_about, up_axis
+from recovery.run.target import facing, inside_wearer, turn_about, up_axis
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.test_run_cut import worn
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.garment.borders import borders, plainly_hole
-from drape.garment.contours import match_contours, open_contours
+from drape.garment.contours import borders, match_contours, open_contours, plainly_hole
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.inside import tube_ends
 from drape.garment.sheets import agreeing, branch_edges, cut_branches, main_sheet
@@ -22,11 +21,10 @@ from recovery.fit.objective import TargetSurface
 from recovery.fit.optimise import FitOptions
 from recovery.pattern.symmetry import find_symmetries
 from recovery.run.__main__ import main
-from recovery.run.target import OPENINGS, close_but_openings
-from recovery.run.target_wearer import long_contours
+from recovery.run.refusal import on_body
+from recovery.run.target import OPENINGS, close_but_openings, long_contours
 from recovery.scan.holes import bites_of, known_faces
-from recovery.scan.repair import ScanFault, in_box, mend_sheet, on_body, read_target
-from recovery.scan.thin import roughness, smooth_noise, thin_to_spacing
+from recovery.scan.repair import ScanFault, in_box, mend_sheet, read_target, roughness, smooth_noise, thin_to_spacing
 from tests.drape.cloth.cloth_shapes import grid, round_tube
 from tests.fixtures.patience import PATIENT_S
 from tests.recovery.test_fit_contours import joints, sandwich, sizes
@@ -109,6 +107,9 @@ def test_a_second_garment_is_refused_with_its_place_and_a_picture(tmp_path, caps
     words = [str(path), "--base", "skirt", "--body", "fit", "--out", str(tmp_path / "out")]
     assert main(words) == 2
     assert (tmp_path / "out" / "t.refused.png").read_bytes().startswith(b"\x89PNG")
+    assert "of the file" in capsys.readouterr().err
+    assert main([*words[:3], "--out", str(tmp_path / "on_body")]) == 2
+    assert "2 pieces of cloth" in (said := capsys.readouterr().err) and "; near the" in said
 
 
 def test_places_are_told_by_joint_and_opening():

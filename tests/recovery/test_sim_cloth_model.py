@@ -17,9 +17,16 @@ from drape.cloth.fabric import Fabric
 from drape.cloth.material import Material, OrthotropicMaterial, material
 from drape.cloth.rest_state import dihedral_angles, flat
 from drape.errors import InputError, MeshError
-from recovery.sim import elastic
-from recovery.sim.assembly import superlu
-from recovery.sim.cloth_model import ClothModel, Parameters
+from recovery.sim.cloth_model import (
+    ClothModel,
+    Parameters,
+    elastic_bilinear,
+    elastic_energy,
+    elastic_forces,
+    elastic_hessian,
+    elastic_work,
+    superlu,
+)
 from tests.recovery.sim_setup import WOVEN, crumpled, crumpled_tube, lifted, sewn_tube, strip
 
 ISOTROPIC = material("jersey").woven
@@ -36,7 +43,7 @@ def test_assembly_by_static_maps_equals_a_loop_over_elements():
         for element in range(nodes_of.shape[1]):
             unknowns = (3 * nodes_of[:, element, None] + np.arange(3)).reshape(-1)
             expected[np.ix_(unknowns, unknowns)] += stack[:, :, element]
-    found = elastic.elastic_hessian(model, rest, parameters, x, definite=False).toarray()
+    found = elastic_hessian(model, rest, parameters, x, definite=False).toarray()
     assert_allclose(found, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
     assert_allclose(found, found.T, rtol=0, atol=1e-12 * np.abs(expected).max())
 
@@ -44,17 +51,17 @@ def test_assembly_by_static_maps_equals_a_loop_over_elements():
 def check_derivatives(model: ClothModel, parameters: Parameters, x: Tensor) -> None:
     """Forces, Hessians and contractions at ``x`` against derivatives of the energy."""
     rest, leaf = model.rest(parameters.panels), x.clone().requires_grad_(True)
-    (slope,) = torch.autograd.grad(elastic.elastic_energy(model, rest, parameters, leaf), leaf)
-    assert_allclose(elastic.forces(model, rest, parameters, x), -slope, rtol=0, atol=1e-11 * float(slope.abs().max()))
+    (slope,) = torch.autograd.grad(elastic_energy(model, rest, parameters, leaf), leaf)
+    assert_allclose(elastic_forces(model, rest, parameters, x), -slope, rtol=0, atol=1e-11 * float(slope.abs().max()))
     direction = torch.from_numpy(np.random.default_rng(4).normal(size=x.shape))
     flattened, step = direction.numpy().reshape(-1), 1e-7
-    assert_allclose(elastic.work(model, rest, parameters, x, direction), float((slope * direction).sum()), rtol=1e-9)
-    ahead, behind = (elastic.forces(model, rest, parameters, x + sign * step * direction) for sign in (1.0, -1.0))
-    product = elastic.elastic_hessian(model, rest, parameters, x, definite=False) @ flattened
+    assert_allclose(elastic_work(model, rest, parameters, x, direction), float((slope * direction).sum()), rtol=1e-9)
+    ahead, behind = (elastic_forces(model, rest, parameters, x + sign * step * direction) for sign in (1.0, -1.0))
+    product = elastic_hessian(model, rest, parameters, x, definite=False) @ flattened
     change = (behind - ahead).numpy().reshape(-1) / (2 * step)
     assert_allclose(change, product, rtol=0, atol=1e-6 * np.abs(product).max())
-    matrix = elastic.elastic_hessian(model, rest, parameters, x, definite=True)
-    pair = elastic.elastic_bilinear(model, rest, parameters, x, direction, direction)
+    matrix = elastic_hessian(model, rest, parameters, x, definite=True)
+    pair = elastic_bilinear(model, rest, parameters, x, direction, direction)
     assert_allclose(pair, flattened @ (matrix @ flattened), rtol=1e-9)
 
 
@@ -69,9 +76,9 @@ def test_the_definite_system_is_definite_for_crumpled_cloth():
     rest = model.rest(parameters.panels)
     for seed in range(20):
         x = crumpled(model, 0.5 * nodes, size_m=0.01, seed=seed).x
-        values = np.linalg.eigvalsh(elastic.elastic_hessian(model, rest, parameters, x, definite=True).toarray())
+        values = np.linalg.eigvalsh(elastic_hessian(model, rest, parameters, x, definite=True).toarray())
         assert values[0] > -1e-12 * values[-1]
-        exact = np.linalg.eigvalsh(elastic.elastic_hessian(model, rest, parameters, x, definite=False).toarray())
+        exact = np.linalg.eigvalsh(elastic_hessian(model, rest, parameters, x, definite=False).toarray())
         assert exact[0] < -1.0
 
 
@@ -83,8 +90,8 @@ def test_a_garment_modelled_in_space_is_at_rest_in_its_own_shape_and_its_forces_
     limp = model.parameters(panels, WOVEN)._replace(stretch=torch.zeros(4, dtype=torch.float64))
     rest = model.rest(limp.panels)
     flat_model, _, _ = sewn_tube()
-    assert float(elastic.forces(flat_model, rest, limp, torch.from_numpy(shaped)).abs().max()) > 1e-4
-    assert_allclose(elastic.forces(model, rest, limp, torch.from_numpy(shaped)), 0.0, rtol=0, atol=1e-14)
+    assert float(elastic_forces(flat_model, rest, limp, torch.from_numpy(shaped)).abs().max()) > 1e-4
+    assert_allclose(elastic_forces(model, rest, limp, torch.from_numpy(shaped)), 0.0, rtol=0, atol=1e-14)
     for parameters in (limp, model.parameters(panels, WOVEN)):
         check_derivatives(model, parameters, crumpled(model, nodes).x)
 
@@ -98,7 +105,7 @@ def test_the_simulator_has_the_energy_of_the_network(rng):
     mesh, model = ClothMesh.of(flat(flat_nodes, faces, grain), faces, len(panel)), ClothModel(faces)
     x = flat_nodes + 4e-3 * rng.normal(size=flat_nodes.shape)
     parameters = model.parameters(panel, cloth.woven)
-    found = elastic.elastic_energy(model, model.rest(parameters.panels), parameters, torch.from_numpy(x))
+    found = elastic_energy(model, model.rest(parameters.panels), parameters, torch.from_numpy(x))
     expected = energies.membrane(x, mesh, cloth) + energies.bending(x, mesh, cloth)
     assert_allclose(found, expected, rtol=1e-8)
 
@@ -107,10 +114,10 @@ def test_rest_has_no_force_and_any_shape_no_net_force_or_torque():
     panel, faces = strip(5, 4, length_m=0.2, width_m=0.1)
     flat = ClothModel(faces)
     parameters = flat.parameters(panel, WOVEN)
-    force = elastic.forces(flat, flat.rest(parameters.panels), parameters, flat.state(lifted(panel)).x)
+    force = elastic_forces(flat, flat.rest(parameters.panels), parameters, flat.state(lifted(panel)).x)
     assert_allclose(force, 0.0, rtol=0, atol=1e-12)
     model, _, parameters, rest, x = crumpled_tube()
-    force = elastic.forces(model, rest, parameters, x)
+    force = elastic_forces(model, rest, parameters, x)
     scale = float(force.abs().max())
     assert_allclose(force.sum(dim=0), 0.0, rtol=0, atol=1e-12 * scale)
     assert_allclose(torch.linalg.cross(x, force).sum(dim=0), 0.0, rtol=0, atol=1e-12 * scale)
@@ -120,10 +127,10 @@ def test_rigid_motion_of_the_garment_changes_no_energy(rng):
     model, _, parameters, rest, x = crumpled_tube()
     turn = Rotation.random(rng=rng).as_matrix()
     moved = torch.from_numpy(x.numpy() @ turn.T + rng.normal(size=3))
-    before, after = (elastic.elastic_energy(model, rest, parameters, at) for at in (x, moved))
+    before, after = (elastic_energy(model, rest, parameters, at) for at in (x, moved))
     assert_allclose(after, before, rtol=1e-10)
-    expected = elastic.forces(model, rest, parameters, x).numpy() @ turn.T
-    found = elastic.forces(model, rest, parameters, moved)
+    expected = elastic_forces(model, rest, parameters, x).numpy() @ turn.T
+    found = elastic_forces(model, rest, parameters, moved)
     assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
@@ -134,7 +141,7 @@ def test_the_pattern_gradient_ignores_rigid_motions_of_a_panel():
     for cloth, feels_turn in ((ISOTROPIC, False), (WOVEN, True)):
         parameters = model.parameters(panels, cloth)
         leaf = parameters.panels.requires_grad_(True)
-        (slope,) = torch.autograd.grad(elastic.elastic_energy(model, model.rest(leaf), parameters, x), leaf)
+        (slope,) = torch.autograd.grad(elastic_energy(model, model.rest(leaf), parameters, x), leaf)
         own = slope.numpy()[front]
         scale = np.abs(own).max()
         assert_allclose(own.sum(axis=0), 0.0, rtol=0, atol=1e-11 * scale)
@@ -158,7 +165,7 @@ def test_the_pivots_count_the_negative_eigenvalues():
     counts = []
     for seed in range(5):
         x = crumpled(model, nodes * (1.0 - 0.1 * seed), size_m=0.005, seed=seed).x
-        matrix = elastic.elastic_hessian(model, rest, parameters, x, definite=False)
+        matrix = elastic_hessian(model, rest, parameters, x, definite=False)
         counts.append(superlu(matrix).negative_pivots())
         assert counts[-1] == (np.linalg.eigvalsh(matrix.toarray()) < 0.0).sum()
     assert max(counts) > 0
@@ -169,9 +176,9 @@ def test_what_cannot_be_solved_is_refused():
     parameters = model.parameters(panels, WOVEN)
     rest, x = model.rest(parameters.panels), model.state(nodes).x
     with pytest.raises(InputError, match="finite forces"):
-        superlu(elastic.elastic_hessian(model, rest, parameters, x * np.nan, definite=True))
+        superlu(elastic_hessian(model, rest, parameters, x * np.nan, definite=True))
     with pytest.raises(InputError, match="regular system"):
-        superlu(0.0 * elastic.elastic_hessian(model, rest, parameters, x, definite=True))
+        superlu(0.0 * elastic_hessian(model, rest, parameters, x, definite=True))
 
 
 def test_meshes_that_are_no_garment_are_refused():

@@ -7,10 +7,9 @@ import torch
 from torch import Tensor
 
 from recovery.sim.cloth_model import ClothState, Parameters
-from recovery.sim.linearised import linearised_step, simulate_steps
+from recovery.sim.implicit import linearised_step, simulate_steps
 from recovery.sim.newton_steps import equilibrium, newton_step
-from recovery.sim.sdf import Sphere
-from recovery.sim.skin_contact import SkinContact
+from recovery.sim.skin_contact import SkinContact, Sphere
 from tests.fixtures.laws import each
 from tests.recovery.sim_setup import WOVEN, crumpled, directional_error, sewn_tube
 

@@ -14,10 +14,9 @@ from drape.cloth.energies import contact as contact_energy
 from drape.cloth.material import Material
 from drape.errors import InputError, MeshError
 from recovery.sim.cloth_model import ClothModel, ClothState
-from recovery.sim.linearised import linearised_step, simulate_steps
+from recovery.sim.implicit import linearised_step, simulate_steps
 from recovery.sim.newton_steps import equilibrium, newton_step
-from recovery.sim.sdf import GridDistance, Grown, PlaneDistance, Sphere
-from recovery.sim.skin_contact import SkinContact
+from recovery.sim.skin_contact import GridDistance, Grown, PlaneDistance, SkinContact, Sphere
 from tests.drape.geometry.geometry_shapes import icosphere
 from tests.recovery.sim_setup import WOVEN, advance, lifted, strip
 

@@ -13,8 +13,7 @@ from scipy.integrate import solve_bvp
 from drape.cloth import bending
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
-from recovery.sim import elastic
-from recovery.sim.cloth_model import ClothModel
+from recovery.sim.cloth_model import ClothModel, elastic_energy, elastic_forces, elastic_hessian
 from recovery.sim.newton_steps import equilibrium, newton_step
 from recovery.sim.skin_contact import SkinContact
 from tests.recovery.sim_setup import WOVEN, lifted, strip
@@ -41,8 +40,8 @@ def test_patch_of_uniform_strain_has_the_exact_energy_and_no_inner_force(rng):
         e = np.array([strain[0, 0], strain[1, 1], strain[0, 1]])
         h = np.array([[stretch[0], stretch[1], 0], [stretch[1], stretch[2], 0], [0, 0, 2.0 * stretch[3]]])
         x = torch.from_numpy(panel @ f.T @ PLANE.T)
-        assert_allclose(elastic.elastic_energy(model, rest, parameters, x), 0.5 * 0.06 * e @ h @ e, rtol=1e-12)
-        force = elastic.forces(model, rest, parameters, x).numpy()
+        assert_allclose(elastic_energy(model, rest, parameters, x), 0.5 * 0.06 * e @ h @ e, rtol=1e-12)
+        force = elastic_forces(model, rest, parameters, x).numpy()
         assert_allclose(force[inner], 0.0, rtol=0, atol=1e-12 * np.abs(force).max())
 
 
@@ -71,7 +70,7 @@ def test_a_pulled_strip_follows_the_closed_form(rng, bias):
     f = np.linalg.cholesky(2.0 * green + np.eye(2)).T  # any F with this strain
     f = rotation_to_x(f @ [1.0, 0.0]) @ f
     x = torch.from_numpy(panel @ f.T @ PLANE.T)
-    force = elastic.forces(model, model.rest(parameters.panels), parameters, x).numpy()
+    force = elastic_forces(model, model.rest(parameters.panels), parameters, x).numpy()
     end = panel[:, 0] > 0.3 - 1e-9
     side = (np.abs(panel[:, 1] - 0.1) > 0.1 - 1e-9) & (panel[:, 0] > 1e-9) & ~end
     assert_allclose(force[inner | side], 0.0, rtol=0, atol=1e-11 * np.abs(force).max())
@@ -192,7 +191,7 @@ def test_a_drape_is_a_minimum_and_not_a_saddle():
     assert report.converged
     assert float(drape.x[:, 1].abs().max()) > 0.02
     rest = model.rest(parameters.panels)
-    hessian = elastic.elastic_hessian(model, rest, parameters, drape.x, definite=False).toarray()
+    hessian = elastic_hessian(model, rest, parameters, drape.x, definite=False).toarray()
     assert np.linalg.eigvalsh(hessian)[0] > 0.0
 
 

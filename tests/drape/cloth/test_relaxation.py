@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from drape.cloth.relaxation import LONGEST_MOVE_M, Relaxation, nearest_isometry, principal_stretches
 from drape.errors import MeshError
 from recovery.drape.seam_threads import in_numpy
-from recovery.sim.sdf import PlaneDistance
+from recovery.sim.skin_contact import PlaneDistance
 from tests.recovery.sim_setup import strip
 
 FLOOR = in_numpy(PlaneDistance(normal=(0.0, 0.0, 1.0)))

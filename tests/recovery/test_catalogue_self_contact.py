@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from recovery.sim.self_contact import SelfContact
+from recovery.catalogue.fall import SelfContact
 from tests.recovery.sim_setup import strip
 
 
