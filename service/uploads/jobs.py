@@ -323,11 +323,19 @@ class Uploads:
         def begun(stage: str) -> None:
             job.stage = stage
             self._runtime.tracing.event(stage)
+            if accepted.kind == "avatar" and stage == "cloth":
+                beside.append(asyncio.ensure_future(asyncio.to_thread(self._runtime.expect_wearer, out)))
 
+        beside: list[asyncio.Future[None]] = []
         if accepted.kind == "avatar":  # who wears its own clothes at once
-            await asyncio.to_thread(self._runtime.constants_process.begin)
+            beside.append(asyncio.ensure_future(asyncio.to_thread(self._runtime.expect_avatar, client.name)))
         file = folder / accepted.file
-        report = await run_sandbox(file, accepted.avatar, out, self._settings, begun, kind=accepted.kind)
+        try:
+            report = await run_sandbox(file, accepted.avatar, out, self._settings, begun, kind=accepted.kind)
+            await asyncio.gather(*beside)
+        finally:
+            for one in beside:
+                one.cancel()
         begun("prepare")
         if accepted.kind == "avatar":
             return (await self._publish_avatar(out, report, file, accepted, client),)
