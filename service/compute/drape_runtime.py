@@ -140,16 +140,17 @@ class DrapeRuntime(Runtime):
 
     # --- constants ---
 
-    def expect_avatar(self, viewer: str | None) -> None:
-        """Makes what the key ``viewer`` will ask of an avatar, whoever it is, before its intake has ended."""
-        self.constants_process.begin()
-        self.avatars.look_at(self.garments.visible(viewer))
-
-    def expect_wearer(self, folder: Path) -> None:
-        """Makes the skins of the wearer that an intake has stored in ``folder``, here and in the process of constants,
-        while that intake makes its clothes."""
-        file = next(path for path in folder.glob("*.npz") if MARK not in path.name)
-        keep_skins(load_wearer(file, self.body).body, self.constants_process.call_there)
+    def expect_avatar(self, stage: str, folder: Path, viewer: str | None) -> None:
+        """Makes what the key ``viewer`` will ask of an avatar, beside the ``stage`` that its intake begins: the process
+        of constants while that starts, where garments lie while it reads, and while it makes clothes the skins of the
+        wearer that it has stored in ``folder``, which that process keeps as well."""
+        if stage == "start":
+            self.constants_process.begin()
+        elif stage == "read":
+            self.avatars.look_at(self.garments.visible(viewer))
+        elif stage == "cloth":
+            file = next(path for path in folder.glob("*.npz") if MARK not in path.name)
+            keep_skins(load_wearer(file, self.body).body, self.constants_process.call_there)
 
     async def prepare(self, plan: Plan) -> None:
         """Makes what the plan's stages need, beside the frames that are being computed."""

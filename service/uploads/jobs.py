@@ -323,12 +323,15 @@ class Uploads:
         def begun(stage: str) -> None:
             job.stage = stage
             self._runtime.tracing.event(stage)
-            if accepted.kind == "avatar" and stage == "cloth":
-                beside.append(asyncio.ensure_future(asyncio.to_thread(self._runtime.expect_wearer, out)))
+            expect(stage)
+
+        def expect(stage: str) -> None:
+            if accepted.kind == "avatar":  # who wears its own clothes at once
+                made = asyncio.to_thread(self._runtime.expect_avatar, stage, out, client.name)
+                beside.append(asyncio.ensure_future(made))
 
         beside: list[asyncio.Future[None]] = []
-        if accepted.kind == "avatar":  # who wears its own clothes at once
-            beside.append(asyncio.ensure_future(asyncio.to_thread(self._runtime.expect_avatar, client.name)))
+        expect("start")
         file = folder / accepted.file
         try:
             report = await run_sandbox(file, accepted.avatar, out, self._settings, begun, kind=accepted.kind)
@@ -336,7 +339,8 @@ class Uploads:
         finally:
             for one in beside:
                 one.cancel()
-        begun("prepare")
+        job.stage = "prepare"
+        self._runtime.tracing.event(job.stage)
         if accepted.kind == "avatar":
             return (await self._publish_avatar(out, report, file, accepted, client),)
         files = [out / str(name) for name in report["files"]]

@@ -110,13 +110,14 @@ def test_while_an_intake_runs_the_skins_of_its_wearer_are_made_and_where_garment
     make_runtime: Callable[..., DrapeRuntime], wearers: list[Wearer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     runtime = make_runtime()
-    runtime.expect_avatar(None)
+    runtime.expect_avatar("start", tmp_path, None)
+    runtime.expect_avatar("read", tmp_path, None)
     assert runtime.constants_process._process is not None
     save_wearer(wearers[0], tmp_path)
     (tmp_path / "twin~top-0.npz").touch()  # its clothes come later
     body = replace(wearers[0].body, digest="another")
     monkeypatch.setattr("service.compute.drape_runtime.load_wearer", lambda *of: replace(wearers[0], body=body))
-    runtime.expect_wearer(tmp_path)
+    runtime.expect_avatar("cloth", tmp_path, None)
     keep_skins(body, lambda *of: pytest.fail("they are there"))
     assert runtime.constants_process.call_there(kept_skins, "another") == 2, "there as well"
     entry = add(runtime.avatars, wearers[0], tmp_path, None)
