@@ -12,7 +12,7 @@ from clients.calls import BINARY, Answer, Call, get_call, url_path
 from clients.refusals import problem_error
 from drape.errors import Unavailable
 
-POLL_S = 0.25
+POLL_S = 0.1
 Progress = Callable[[dict[str, Any]], None]
 
 

@@ -55,12 +55,21 @@ def joined_halves(halves: Sequence[Halves]) -> Halves:
 
 def halves_of(garments: Iterable[Garment], body: BodyModel) -> Halves:
     """The halves of the standard ``body`` on which ``garments`` lie, by the bones of the skin next to them."""
+    return halves_by([skin_next_to(garment, body) for garment in garments], body)
+
+
+def skin_next_to(garment: Garment, body: BodyModel) -> np.ndarray:
+    """The vertex (V,) of ``body`` that is nearest to each delivered one of a ``garment`` at rest."""
+    return nearest_vertices(garment.vertices[: garment.vertex_count].astype(np.float64), body.v_template)[1]
+
+
+def halves_by(nearest: Iterable[np.ndarray], body: BodyModel) -> Halves:
+    """``halves_of`` garments of which each has next to its vertices those of ``body`` in the rows ``nearest`` (V,)."""
     bones = BONES[body.weights.argmax(axis=1)]
     upper = np.isin(bones, ["spine2", "spine3", "collar", "shoulder", "elbow", "neck"])
     lower = np.isin(bones, ["hip", "knee", "ankle", "foot"])
     covered = np.zeros(2, dtype=bool)
-    for garment in garments:
-        _, row = nearest_vertices(garment.vertices[: garment.vertex_count].astype(np.float64), body.v_template)
+    for row in nearest:
         share = np.array([upper[row].mean(), lower[row].mean()])
         covered |= share > LEAST_SHARE * np.array([1.0, 1.0 + (share[0] > LEAST_SHARE)])  # a shirt's hem is on the hips
     return Halves(*map(bool, covered))

@@ -25,12 +25,10 @@ from drape.avatar.own_clothes import (
     doubled_ends,
     halves_of,
     joined_halves,
-    layers_of,
     sewn_to_ends,
     taken_off,
     tucked,
 )  # fmt: skip
-from drape.avatar.t_pose import TPose
 from drape.avatar.tucked import TuckedTop, tucked_top
 from drape.avatar.wearer import Wearer
 from drape.avatar.wears import reach_of, why_not
@@ -68,13 +66,13 @@ class OwnGarments:
 
 
 class OwnCloth(NamedTuple):
-    """Clothes of one ``kind``, the parts ``numbers`` of a character, as a ``mesh``, but for runs of faces that stay on
-    the skin (first and count of each)."""
+    """Clothes of one ``kind``, the parts ``numbers`` of a character: its faces ``rows`` (n,). Runs of their other faces
+    stay on the skin (first and count of each)."""
 
     kind: str
     numbers: tuple[int, ...]
     stays: tuple[int, ...]
-    mesh: GarmentMesh
+    rows: np.ndarray
 
 
 def own_garments(payload: bytes, wearer: Wearer) -> OwnGarments:
@@ -98,10 +96,8 @@ def own_garments(payload: bytes, wearer: Wearer) -> OwnGarments:
             stiff |= {parts[number].name: "It lies inside of the body that we lay below it." for number in own}
             continue
         whole[rows] = False
-        mesh = _mesh(file, wearer, f"{wearer.name}_{kind}", rows)
-        worn.append(OwnCloth(kind, tuple(own), tuple(ranges_of(whole).reshape(-1).tolist()), mesh))
-    make = partial(_garment_or_why, wearer.name, wearer.digest, body)
-    garments = each(make, worn)
+        worn.append(OwnCloth(kind, tuple(own), tuple(ranges_of(whole).reshape(-1).tolist()), rows))
+    garments = each(partial(_garment_or_why, file, wearer, body), worn)
     for one, why in zip(worn, garments, strict=True):
         if isinstance(why, str):
             stiff |= {parts[number].name: why for number in one.numbers}
@@ -223,8 +219,7 @@ def _buried(wearer: Wearer, body: BodyModel, kinds: Sequence[str]) -> np.ndarray
 
 def _stiff(wearer: Wearer) -> dict[str, str]:
     """Why clothes stay on the skin, by the names of parts, as far as it is seen before an intake."""
-    pose = TPose(wearer.vertices, wearer.faces, wearer.weights, np.zeros((0, 3)), wearer.scale, wearer.height_m)
-    painted = layers_of(wearer.attire, pose).body
+    assert wearer.painted is not None
     reasons = {}
     for number, part in enumerate(wearer.attire.parts):
         rows = np.flatnonzero(wearer.attire.part == number)
@@ -233,31 +228,32 @@ def _stiff(wearer: Wearer) -> dict[str, str]:
         weights = wearer.weights[np.unique(wearer.faces[rows])]
         if len(rows) < LEAST_FACES:
             reasons[part.name] = f"It has {len(rows)} faces, too few to fold."
-        elif painted[rows].mean() > PAINTED_SHARE:
+        elif wearer.painted[rows].mean() > PAINTED_SHARE:
             reasons[part.name] = "It is painted on the skin, or one mesh with it."
         elif (weights > STIFF).all(axis=0).any():
             reasons[part.name] = "One bone moves all of it, as armour."
     return reasons
 
 
-def _garment_or_why(name: str, digest: str, body: BodyModel, own: OwnCloth) -> Garment | str:
-    """The garment of ``own`` clothes of the character of this ``name`` and ``digest`` on its ``body``, or why no cloth
-    can be made of them."""
+def _garment_or_why(file: GltfFile, wearer: Wearer, body: BodyModel, own: OwnCloth) -> Garment | str:
+    """The garment of ``own`` clothes of the ``wearer`` in ``file`` on its ``body``, or why no cloth can be made of
+    them."""
     try:
-        return _garment(name, digest, body, own)
+        return _garment(file, wearer, body, own)
     except DrapeError as error:
         return f"No cloth can be made of it: expected {error.expected}, got {error.got}."
 
 
-def _garment(name: str, digest: str, body: BodyModel, own: OwnCloth) -> Garment:
+def _garment(file: GltfFile, wearer: Wearer, body: BodyModel, own: OwnCloth) -> Garment:
     kind, numbers = own.kind, list(own.numbers)
-    made_of = f"own {VERSION} {kind} {numbers} {digest} {body.digest}"
-    garment = intake_mesh(own.mesh, body, digest=hashlib.sha256(made_of.encode()).hexdigest())
+    made_of = f"own {VERSION} {kind} {numbers} {wearer.digest} {body.digest}"
+    mesh = _mesh(file, wearer, f"{wearer.name}_{kind}", own.rows)
+    garment = intake_mesh(mesh, body, digest=hashlib.sha256(made_of.encode()).hexdigest())
     refusal = why_not(body, reach_of(garment, body), garment=kind)
     if refusal is not None:
         raise refusal
     about = {"kind": kind, "parts": numbers, "stays": list(own.stays)}
-    called = f"{name}{MARK}{kind}"
+    called = f"{wearer.name}{MARK}{kind}"
     drawn = None if garment.drawn is None else replace(garment.drawn, name=called)
     return replace(garment, name=called, drawn=drawn, manifest=garment.manifest | {OWN: about})
 

@@ -58,7 +58,8 @@ class Wearer:
     the joints. ``scale``: metres per unit of its file. ``median_mm``, ``p95_mm``: how far its trunk and limbs are from
     the body. ``vrm``: "0", "1" or "". ``found_by``, ``confidence`` and ``notes`` as in ``Mapped``. ``file``: what its
     file is asked for later; of one that was stored ``load_file_rig`` reads it where it is wanted. ``attire``: what is
-    what on its surface; it has no parts where an earlier version stored the character. ``standard``: what ``body`` is
+    what on its surface; it has no parts where an earlier version stored the character. ``painted`` (F,): its faces
+    that are its body, with clothes that are one with it; None of one that was stored. ``standard``: what ``body`` is
     made of. ``over``: the body with its own trousers on, where it is made already.
     """
 
@@ -82,6 +83,7 @@ class Wearer:
     file: FileRig | None = None
     attire: Attire = WORN_NOTHING
     over: BodyModel | None = None
+    painted: np.ndarray | None = None
 
     def body_under(self, halves: Halves) -> BodyModel:
         """The body below garments that lie on these ``halves``."""
@@ -196,6 +198,7 @@ def read_wearer(
     return Wearer(
         name, digest, body, shaped, rig, character.names, surface, pose.faces, pose.weights, pose.scale,
         pose.height_m, median_mm, p95_mm, character.vrm, match.by, match.confidence, match.notes, whole, layers.attire,
+        painted=layers.body,
     )  # fmt: skip
 
 

@@ -10,14 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.avatar.own_clothes import BONES, Halves, halves_of
+from drape.avatar.own_clothes import BONES, Halves, halves_by, skin_next_to
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import BodyError
 from drape.garment.avatars import Avatar
 from drape.garment.cache import Garment
 from drape.garment.rest_pose import skirt_blend
-from drape.geometry.closest import nearest_vertices
 
 THICKEST = 0.45  # of the length of a leg: persons have 0.1, stylised children 0.2, figures of games 0.53 and more
 STOUTEST = 0.6  # skirts, dresses and shorts stand off legs that are thicker, and are trodden on
@@ -34,13 +33,14 @@ class Reach(NamedTuple):
 
 def reach_of(garment: Garment, body: BodyModel) -> Reach:
     """The reach of a ``garment`` of the standard ``body``."""
-    vertices = garment.vertices[: garment.vertex_count].astype(np.float64)
-    near = BONES[body.weights.argmax(axis=1)][nearest_vertices(vertices, body.v_template)[1]]
+    nearest = skin_next_to(garment, body)
+    near = BONES[body.weights.argmax(axis=1)][nearest]
     legs = (near == "knee").mean() > LEAST_SHARE
     if legs:
+        vertices = garment.vertices[: garment.vertex_count].astype(np.float64)
         standing = Avatar(body.v_template, body.faces, 0.0, body.name)
         legs = not skirt_blend(vertices, garment.faces.astype(np.int64), standing, body).any()
-    return Reach(halves_of([garment], body), bool(legs))
+    return Reach(halves_by([nearest], body), bool(legs))
 
 
 def legs_thickness(body: BodyModel) -> float:

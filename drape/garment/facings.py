@@ -14,6 +14,7 @@ from drape.garment.files.mesh import plain_mesh
 from drape.garment.sheets import agreeing
 from drape.garment.walls import FACING, farther, opposite_faces, smoothed_sides
 from drape.geometry import mesh_graphs, meshes
+from drape.geometry.closest import SearchedMesh
 
 SAMPLED_FACES, SAMPLED_SHARE = 1000, 0.01  # of most garments so few faces tell that nothing is turned in
 LEAST_M2 = 0.002  # of a facing; what is smaller is a hem, and does no harm
@@ -28,9 +29,11 @@ def without_facings(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.n
     middles, normals = points[faces].mean(axis=1), meshes.face_normals(wound.vertices, wound.faces)
     piece = mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
 
+    mesh = SearchedMesh(points, faces)
+
     def folded_from(asked: np.ndarray) -> np.ndarray:
         """The face of the same piece (n,) that lies opposite to each ``asked`` one (n,) the other way round, or -1."""
-        other = opposite_faces(points, faces, asked, middles, normals)
+        other = opposite_faces(mesh, asked, middles, normals)
         reverse = np.einsum("fc,fc->f", normals[asked], normals[other]) < -FACING
         return np.where((other >= 0) & reverse & (piece[other] == piece[asked]), other, -1)
 

@@ -158,7 +158,7 @@ def intake_mesh(mesh: GarmentMesh, body: BodyModel, *, digest: str) -> Garment:
     looks, notes = with_remade(mesh.looks)
     named = replace(mesh, name=garment_name(mesh.name), looks=looks).noted(*notes)
     file = _File(named, b"", HERE, None, digest, DEFAULT_OPTIONS.completed_by(None))
-    (garment,) = _made(file, body, lambda line: None, lambda stage: None, whole=True)
+    (garment,) = _made(file, body, lambda line: None, lambda stage: None, whole=True, counted=False)
     return garment
 
 
@@ -194,8 +194,11 @@ def _opened(
     return _File(mesh, payload, meaning, sewn, digest, options.completed_by(sewn))
 
 
-def _made(file: _File, body: BodyModel, say: Report, begins: Report, *, whole: bool) -> list[Garment]:
-    """The garments of ``file``, the innermost first; one of all where they are ``whole``."""
+def _made(
+    file: _File, body: BodyModel, say: Report, begins: Report, *, whole: bool, counted: bool = True
+) -> list[Garment]:
+    """The garments of ``file``, the innermost first; one of all where they are ``whole``, which says of how many if
+    these are ``counted``."""
     mesh, sewn, options = file.mesh, file.sewn, file.options
     with_uv = "with uv" if len(mesh.uv) else "no uv"
     say(f"read      {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, {with_uv}")
@@ -213,7 +216,9 @@ def _made(file: _File, body: BodyModel, say: Report, begins: Report, *, whole: b
     started = time.perf_counter()
     begins("rest")
     told: dict[str, Any] = {} if wearer is None else {"wearer": pictured(wearer, mesh)}
-    label = np.zeros(len(sheets.faces), dtype=int) if alone else garments_in(sheets, model.vertices, body)
+    label = np.zeros(len(sheets.faces), dtype=int)
+    if counted and not alone:
+        label = garments_in(sheets, model.vertices, body)
     layers = int(label.max(initial=0)) + 1
     if layers > 1:
         told |= {"layers": layers}

@@ -45,15 +45,16 @@ def outer_sides(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarr
     keep, piece = np.ones(len(faces), dtype=bool), mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
     middles, normals = points[faces].mean(axis=1), meshes.face_normals(points, faces)
     areas = meshes.face_areas(points, faces)
+    mesh = SearchedMesh(points, faces)
     some = np.arange(0, len(faces), max(1, len(faces) // SAMPLED_FACES))  # of most garments they tell that it has none
-    walled = opposite_faces(points, faces, some, middles, normals) >= 0
+    walled = opposite_faces(mesh, some, middles, normals) >= 0
     seen = np.bincount(piece[some], areas[some], minlength=len(points))
     share = np.bincount(piece[some], walled * areas[some], minlength=len(points)) / np.maximum(seen, 1e-12)
     asked = np.flatnonzero((share > 0.7 * WALLED_SHARE)[piece] | (seen == 0.0)[piece])
     if not len(asked):
         return keep
     other = np.full(len(faces), -1)
-    other[asked] = opposite_faces(points, faces, asked, middles, normals)
+    other[asked] = opposite_faces(mesh, asked, middles, normals)
     walled, side = other >= 0, farther(middles, other, skin)
     depth = np.abs(np.einsum("fc,fc->f", normals, middles - middles[np.maximum(other, 0)]))
     share = np.bincount(piece, walled * areas) / np.maximum(np.bincount(piece, areas), 1e-12)
@@ -105,12 +106,10 @@ def _outer(points: np.ndarray, faces: np.ndarray, walled: np.ndarray, other: np.
     return kept | ((other >= 0) & ~kept[other] & (phi > phi[other]))
 
 
-def opposite_faces(
-    points: np.ndarray, faces: np.ndarray, asked: np.ndarray, middles: np.ndarray, normals: np.ndarray
-) -> np.ndarray:
-    """The face (n,) opposite to each ``asked`` one (n,) within a wall, -1 where there is none."""
-    other, own, start = np.full(len(asked), -1), normals[asked], middles[asked]
-    mesh, deepest = SearchedMesh(points, faces), PROBES_M[-1]
+def opposite_faces(mesh: SearchedMesh, asked: np.ndarray, middles: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """The face (n,) opposite to each ``asked`` one (n,) within a wall of the ``mesh``, -1 where there is none; of all
+    its faces ``middles`` and ``normals`` (F, 3) are known."""
+    other, own, start, deepest = np.full(len(asked), -1), normals[asked], middles[asked], PROBES_M[-1]
     # A probe's ball lies in that of a deeper one on its side: where that is empty of other cloth, so are all.
     near = [mesh.closest(start + sign * deepest * own).distance < (1.0 - 1e-9) * deepest for sign in (-1.0, 1.0)]
     for depth, (sign, beside) in product(PROBES_M, zip((-1.0, 1.0), near, strict=True)):

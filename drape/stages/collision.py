@@ -7,8 +7,9 @@ Folds end off the skin by themselves, from the planes that they know anyway; the
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -69,8 +70,8 @@ class Collision(Stage):
     def remove(self, garment: Garment) -> None:
         self.pusher.remove(garment.digest)
 
-    def prepare(self, plan: Plan) -> None:
-        self.pusher.prepare(plan.keys, jets=plan.options.geometry == "jets")
+    def parts(self, plan: Plan) -> Sequence[Callable[[], object]]:
+        return [partial(self.pusher.prepare, plan.keys, jets=plan.options.geometry == "jets")]
 
     @property
     def held_bytes(self) -> int:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -105,12 +106,13 @@ class Folds(Stage):
         self._garments.pop(garment.digest, None)
         self._constants.forget(garment.digest)
 
-    def prepare(self, plan: Plan) -> None:
-        for key, fabric in zip(plan.draped_keys, plan.fabrics, strict=True):
-            self.constants(key, fabric, coarse=plan.options.advanced.coarse)
-        for entry, draped, read in zip(plan.scene.layers, plan.draped_keys, read_layers(plan), strict=True):
-            if read and entry.garment.digest != draped:
-                self._wrapping(entry.garment)
+    def parts(self, plan: Plan) -> Sequence[Callable[[], object]]:
+        coarse, worn = plan.options.advanced.coarse, zip(plan.draped_keys, plan.fabrics, strict=True)
+        layers = zip(plan.scene.layers, plan.draped_keys, read_layers(plan), strict=True)
+        return [
+            *(partial(self._wrapping, one.garment) for one, key, read in layers if read and one.garment.digest != key),
+            *(partial(self.constants, key, fabric, coarse=coarse) for key, fabric in worn),
+        ]
 
     def run(self, batch: Batch) -> Batch:
         *_, last = self.steps(batch)

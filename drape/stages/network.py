@@ -5,7 +5,8 @@ And how far poses are from those that it learned from (``drape.body.pose_distanc
 
 from __future__ import annotations
 
-from functools import cache, lru_cache
+from collections.abc import Callable, Sequence
+from functools import cache, lru_cache, partial
 from typing import Any
 from weakref import WeakValueDictionary
 
@@ -96,9 +97,9 @@ class Network(Stage):
     def remove(self, garment: Garment) -> None:
         self.packer.remove(garment.digest)
 
-    def prepare(self, plan: Plan) -> None:
+    def parts(self, plan: Plan) -> Sequence[Callable[[], object]]:
         given = self.engine.feels_body and not self._skin_in_graph
-        self.packer.prepare(self._scene(plan), skin_given=given, shapes=plan.messages)
+        return [partial(self.packer.prepare, self._scene(plan), skin_given=given, shapes=plan.messages)]
 
     @property
     def held_bytes(self) -> int:

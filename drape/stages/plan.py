@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -61,8 +61,14 @@ class StageRules:
         still."""
         return memory
 
+    def parts(self, plan: Plan) -> Sequence[Callable[[], object]]:
+        """Returns calls that make what the frames of ``plan`` need and takes long: from any thread, in any order."""
+        return ()
+
     def prepare(self, plan: Plan) -> None:
-        """Makes what the frames of ``plan`` need and takes long; called from any thread."""
+        """Makes all ``parts`` of what the frames of ``plan`` need."""
+        for part in self.parts(plan):
+            part()
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, TypeVar
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -52,7 +53,7 @@ class StageSetup:
 class Stage(StageRules):
     """One step of a frame's way, made once per service; ``drape.stages.STAGES`` names them in order.
 
-    A stage holds its constants of garments (``add``, ``prepare``). Its memories of a stream or clip lie in the batch,
+    A stage holds its constants of garments (``add``, ``parts``). Its memories of a stream or clip lie in the batch,
     under its name and the garment's digest or ``BODY``.
     """
 
@@ -99,19 +100,21 @@ def carried(memories: Memories, before: Plan, after: Plan) -> Memories:
 class KeptConstants(Generic[Constants]):
     """Constants by their keys. Those that were not used for longest are dropped while there are ``too_many``.
 
-    One thread makes constants at a time; a thread whose constants are there does not wait for it.
+    One thread makes those of a key, and others that want them wait for it.
     """
 
     def __init__(self, too_many: Callable[[Collection[Constants]], bool] = lambda kept: False) -> None:
         self._kept: OrderedDict[Key, Constants] = OrderedDict()
         self._too_many = too_many
-        self._looking, self._making = threading.Lock(), threading.Lock()
+        self._looking, self._making = threading.Lock(), WeakValueDictionary[Key, threading.Lock]()
 
     def get(self, key: Key, make: Callable[[], Constants]) -> Constants:
         """The constants under ``key``, made by ``make`` where they are missing."""
         found = self._find(key)
         if found is None:
-            with self._making:
+            with self._looking:
+                making = self._making.setdefault(key, threading.Lock())
+            with making:
                 found = self._find(key)
                 if found is None:
                     go_on()

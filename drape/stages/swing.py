@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -61,9 +62,9 @@ class Swing(Stage):
         self._garments.pop(garment.digest, None)
         self._constants.forget(garment.digest)
 
-    def prepare(self, plan: Plan) -> None:
-        for key, fabric in zip(plan.draped_keys, plan.fabrics, strict=True):
-            self.constants(key, fabric)
+    def parts(self, plan: Plan) -> Sequence[Callable[[], object]]:
+        worn = zip(plan.draped_keys, plan.fabrics, strict=True)
+        return [partial(self.constants, key, fabric) for key, fabric in worn]
 
     def run(self, batch: Batch) -> Batch:
         *_, last = self.steps(batch)

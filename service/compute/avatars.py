@@ -77,6 +77,11 @@ class AvatarEntry:
         """The caches of the garments that it came in."""
         return sorted(self.path.parent.glob(f"{self.id}{MARK}*.npz"))
 
+    def wearing(self, garment: Garment) -> Entry:
+        """The entry of a ``garment`` that it came in."""
+        name = own_id(self.id, garment)
+        return Entry(name, garment, "user", self.path.with_name(f"{name}.npz"), self.owner)
+
     def seen_by(self, viewer: str | None) -> bool:
         """Whether the key ``viewer`` may know of it."""
         return self.owner is None or self.owner == viewer
@@ -176,6 +181,9 @@ class Avatars:
         text = json.dumps({"id": name, "told": entry.facts.model_dump(), "owner": owner})
         garment_files.replace_text(entry.path.with_suffix(".json"), text)
         self._entries[name] = entry
+        if own is not None:  # it is worn at once, and nothing is read again
+            with self._one:
+                self._dress_up(name, wearer).own = tuple(map(entry.wearing, garments))
         return entry
 
     def remove(self, entry: AvatarEntry) -> None:
@@ -198,12 +206,15 @@ class Avatars:
     def _dressed(self, name: str) -> _Dressed:
         with self._one:
             if name not in self._worn:
-                wearer = self._stored_wearer(self._entries.get(name) or self.get(name))
-                self._worn[name] = _Dressed(wearer, self._stages_on, self._body, self._make)
-                while len(self._worn) > MOST_WORN:
-                    self._worn.popitem(last=False)
+                self._dress_up(name, self._stored_wearer(self._entries.get(name) or self.get(name)))
             self._worn.move_to_end(name)
             return self._worn[name]
+
+    def _dress_up(self, name: str, wearer: Wearer) -> _Dressed:
+        self._worn[name] = _Dressed(wearer, self._stages_on, self._body, self._make)
+        while len(self._worn) > MOST_WORN:
+            self._worn.popitem(last=False)
+        return self._worn[name]
 
     def _stored_wearer(self, entry: AvatarEntry) -> Wearer:
         """The wearer in the file of ``entry``, which is set aside where that cannot be read."""
@@ -223,14 +234,10 @@ class Avatars:
     def own(self, name: str) -> tuple[Entry, ...]:
         """The garments that the avatar ``name`` came in, the innermost first; from any thread."""
         entry, dressed = self._entries.get(name) or self.get(name), self._dressed(name)
-        return dressed.own_garments([one.garment for one in entry.facts.alive or ()], self._own_entry(entry))
-
-    def _own_entry(self, entry: AvatarEntry) -> Callable[[str], Entry]:
-        def read(garment_id: str) -> Entry:
-            path = entry.path.with_name(f"{garment_id}.npz")
-            return Entry(garment_id, self._own(path, self.wearer(entry.id)), "user", path, entry.owner)
-
-        return read
+        if dressed.own is None:
+            paths = [entry.path.with_name(f"{one.garment}.npz") for one in entry.facts.alive or ()]
+            dressed.own = tuple(entry.wearing(self._own(path, dressed.wearer)) for path in paths)
+        return dressed.own
 
     def own_garment(self, garment_id: str, viewer: str | None) -> Entry | None:
         """Returns the garment ``garment_id`` of the clothes that an avatar came in; None if there is none that the key
@@ -281,6 +288,11 @@ class Avatars:
         found = {entry.id: why_not(body, self._reach(entry), garment=entry.id) for entry in entries}
         return {key: None if refusal is None else str(refusal) for key, refusal in found.items()}
 
+    def look_at(self, entries: Sequence[Entry]) -> None:
+        """Finds where ``entries`` lie on a body, which ``wears`` asks of all of them."""
+        for entry in entries:
+            self._reach(entry)
+
     def _halves(self, layers: Sequence[Entry]) -> Halves:
         return joined_halves([self._reach(layer).halves for layer in layers])
 
@@ -311,14 +323,8 @@ class _Dressed:
         self.wearer, self._stages_on, self._standard, self._make = wearer, stages_on, standard, make
         self.stages: dict[str, BodyStages] = {wearer.body.digest: stages_on(wearer.body)}
         self._cut: dict[str, Entry] = {}
-        self._own: tuple[Entry, ...] | None = None
+        self.own: tuple[Entry, ...] | None = None  # the garments that it came in, once they are read
         self._one = threading.Lock()
-
-    def own_garments(self, ids: Sequence[str], read: Callable[[str], Entry]) -> tuple[Entry, ...]:
-        """The garments ``ids`` that it came in, which ``read`` reads the first time."""
-        if self._own is None:
-            self._own = tuple(map(read, ids))
-        return self._own
 
     def cut(self, entry: Entry, halves: Halves) -> Entry:
         """``entry`` for this avatar, among garments that lie on these ``halves``."""

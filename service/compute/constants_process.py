@@ -53,6 +53,10 @@ class ConstantsProcess:
                     return function(*arguments, **named)
                 finally:
                     self._here.release()
+        return self.call_there(function, *arguments, **named)
+
+    def call_there(self, function: Callable[P, Result], *arguments: P.args, **named: P.kwargs) -> Result:
+        """Returns what ``call`` does, made in the process in any case: what the function keeps is kept there too."""
         try:
             waits_for(self._spent_s)
             with self._one:

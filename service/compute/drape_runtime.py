@@ -13,8 +13,11 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from drape.artifacts import model_folder
+from drape.avatar.own_garments import MARK
+from drape.avatar.wearer import Wearer, load_wearer
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
+from drape.contact.skin import keep_skins
 from drape.engine.card import DRIVER, Card, count_cards, kernels
 from drape.errors import DrapeError, NotFound, did_you_mean
 from drape.inference.engine import Engine
@@ -27,7 +30,7 @@ from drape.motion.readers import read_motion
 from drape.runtime import Runtime
 from drape.stages.batch import Batch, Memories, PoseInput, Quality
 from drape.stages.encode import Idle, answer_again, idle_before, remember
-from drape.stages.plan import Plan, StageRules
+from drape.stages.plan import Plan
 from drape.stages.sizes import Sizes
 from drape.stages.walk import run, walk
 from drape.wire.options import Advanced, DrapeOptions
@@ -41,7 +44,6 @@ from service.watch.tracing import Tracing, make_tracing
 from service.watch.watchdog import say_moved
 
 if TYPE_CHECKING:
-    from drape.avatar.wearer import Wearer
     from drape.stages.body_stages import BodyStages
     from drape.stages.scene import Entry
     from service.settings import Settings
@@ -138,17 +140,30 @@ class DrapeRuntime(Runtime):
 
     # --- constants ---
 
+    def expect_avatar(self, stage: str, folder: Path, viewer: str | None) -> None:
+        """Makes what the key ``viewer`` will ask of an avatar, beside the ``stage`` that its intake begins: the process
+        of constants while that starts, where garments lie while it reads, and while it makes clothes the skins of the
+        wearer that it has stored in ``folder``, which that process keeps as well."""
+        if stage == "start":
+            self.constants_process.begin()
+        elif stage == "read":
+            self.avatars.look_at(self.garments.visible(viewer))
+        elif stage == "cloth":
+            file = next(path for path in folder.glob("*.npz") if MARK not in path.name)
+            keep_skins(load_wearer(file, self.body).body, self.constants_process.call_there)
+
     async def prepare(self, plan: Plan) -> None:
         """Makes what the plan's stages need, beside the frames that are being computed."""
         await self._add(self.on(plan.scene), plan.known)
 
-        def prepare(stages: Sequence[StageRules]) -> None:
-            for stage in stages:
-                stage.prepare(plan)
+        # Each is taken by the first of two processors that is free. Those of folds, which take longest, come first.
+        rest = reversed([part for stage in plan.stages for part in stage.parts(plan)])
 
-        # From both ends: each stage makes its constants once, and two processors are busy.
-        ways = plan.stages, plan.stages[::-1]
-        await asyncio.gather(*(asyncio.to_thread(prepare, way) for way in ways))
+        def make() -> None:
+            for part in rest:
+                part()
+
+        await asyncio.gather(*(asyncio.to_thread(make) for _ in range(2)))
 
     async def prepare_all(self) -> None:
         """Makes the constants of the garments that nobody has asked for yet, one garment after the other, beside

@@ -323,12 +323,24 @@ class Uploads:
         def begun(stage: str) -> None:
             job.stage = stage
             self._runtime.tracing.event(stage)
+            expect(stage)
 
-        if accepted.kind == "avatar":  # who wears its own clothes at once
-            await asyncio.to_thread(self._runtime.constants_process.begin)
+        def expect(stage: str) -> None:
+            if accepted.kind == "avatar":  # who wears its own clothes at once
+                made = asyncio.to_thread(self._runtime.expect_avatar, stage, out, client.name)
+                beside.append(asyncio.ensure_future(made))
+
+        beside: list[asyncio.Future[None]] = []
+        expect("start")
         file = folder / accepted.file
-        report = await run_sandbox(file, accepted.avatar, out, self._settings, begun, kind=accepted.kind)
-        begun("prepare")
+        try:
+            report = await run_sandbox(file, accepted.avatar, out, self._settings, begun, kind=accepted.kind)
+            await asyncio.gather(*beside)
+        finally:
+            for one in beside:
+                one.cancel()
+        job.stage = "prepare"
+        self._runtime.tracing.event(job.stage)
         if accepted.kind == "avatar":
             return (await self._publish_avatar(out, report, file, accepted, client),)
         files = [out / str(name) for name in report["files"]]

@@ -85,16 +85,17 @@ def avatar_files(file: Path, out: Path, *, meaning: str | None, body: str) -> tu
     from drape.garment.cache import save_garment
 
     named, payload = json.loads(meaning) if meaning else {}, file.read_bytes()
-    own, wearer = None, read_wearer(
+    wearer = read_wearer(
         payload, name=wearer_name(file.stem), body=load_body(body), told=named.get("joints"),
         kinds=named.get("parts"), begun=_say,
     )  # fmt: skip
-    if named.get("alive"):
-        _say("cloth")
-        own = own_garments(payload, wearer)
+    stored = save_wearer(wearer, out)  # before its clothes: the service looks at it meanwhile
+    if not named.get("alive"):
+        return [stored.name], None
+    _say("cloth")
+    own = own_garments(payload, wearer)
     _say("store")
-    garments = [] if own is None else [save_garment(one, out, quick=True) for one in own.garments]
-    return [path.name for path in (save_wearer(wearer, out), *garments)], None if own is None else own.stiff
+    return [path.name for path in (stored, *(save_garment(one, out, quick=True) for one in own.garments))], own.stiff
 
 
 def motion_file(file: Path, out: Path, *, clip: str | None) -> Path:

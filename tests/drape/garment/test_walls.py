@@ -10,6 +10,7 @@ from drape.garment.registration import posed_by
 from drape.garment.walls import opposite_faces, outer_sides
 from drape.garment.wearer_fields import known_parameters
 from drape.geometry import meshes
+from drape.geometry.closest import SearchedMesh
 from tests.drape.garment.garment_files import shirt
 
 THICK_M = 0.006
@@ -41,7 +42,7 @@ def test_faces_find_what_is_opposite_at_any_depth_and_nothing_where_they_lie_alo
         below = sheet[flat[sheet][:, 0, 0] < 0.15] + len(flat)
         points, faces = np.concatenate([flat, flat - [0.0, 0.0, gap_m]]), np.concatenate([sheet, below])
         middles, normals = points[faces].mean(axis=1), meshes.face_normals(points, faces)
-        other = opposite_faces(points, faces, np.arange(len(sheet)), middles, normals)
+        other = opposite_faces(SearchedMesh(points, faces), np.arange(len(sheet)), middles, normals)
         inner, alone = middles[: len(sheet), 0] < 0.12, middles[: len(sheet), 0] > 0.2
         assert (other[inner] >= len(sheet)).all() and (other[alone] == -1).all()
         assert np.abs(middles[other[inner]] - middles[: len(sheet)][inner])[:, :2].max() < 0.015

@@ -15,6 +15,8 @@ from drape.avatar.wearer import Wearer, read_wearer, save_wearer
 from drape.avatar.wears import Reach
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, open_garment
+from drape.contact import skin
+from drape.contact.skin import keep_skins
 from drape.errors import BodyError, InputError, NotFound, TooLarge
 from drape.garment.cache import Garment, save_garment
 from drape.stages.scene import Entry
@@ -104,8 +106,36 @@ def test_what_an_avatar_cannot_wear_is_told_before_and_in_the_same_words(
     assert str(refused.value) == why
 
 
+def test_while_an_intake_runs_the_skins_of_its_wearer_are_made_and_where_garments_lie(
+    make_runtime: Callable[..., DrapeRuntime], wearers: list[Wearer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    runtime = make_runtime()
+    runtime.expect_avatar("start", tmp_path, None)
+    runtime.expect_avatar("read", tmp_path, None)
+    assert runtime.constants_process._process is not None
+    save_wearer(wearers[0], tmp_path)
+    (tmp_path / "twin~top-0.npz").touch()  # its clothes come later
+    body = replace(wearers[0].body, digest="another")
+    monkeypatch.setattr("service.compute.drape_runtime.load_wearer", lambda *of: replace(wearers[0], body=body))
+    runtime.expect_avatar("cloth", tmp_path, None)
+    keep_skins(body, lambda *of: pytest.fail("they are there"))
+    assert runtime.constants_process.call_there(kept_skins, "another") == 2, "there as well"
+    entry = add(runtime.avatars, wearers[0], tmp_path, None)
+    monkeypatch.setattr(in_service, "reach_of", lambda *of: pytest.fail("it is known"))
+    assert runtime.avatars.wears(entry.id, runtime.garments.visible(None)) == {"tube": None}
+
+
+def kept_skins(digest: str) -> int:
+    """How many skins of the body ``digest`` this process keeps."""
+    return sum(key[1] == digest for key in skin._KEPT)
+
+
 def test_own_clothes_count_among_the_layers(
-    make_runtime: Callable[..., DrapeRuntime], body: BodyModel, tube: Garment, tmp_path: Path
+    make_runtime: Callable[..., DrapeRuntime],
+    body: BodyModel,
+    tube: Garment,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ):
     """A character in a top of its own wears that, and shorts of ours with it only where two are draped; nobody else
     wears it."""
@@ -119,7 +149,10 @@ def test_own_clothes_count_among_the_layers(
         (tmp_path / "sent.glb").write_bytes(payload)
         files = in_service.OwnFiles([save_garment(one, tmp_path) for one in own.garments], own.stiff)
         entry = avatars.add(save_wearer(wearer, tmp_path), tmp_path / "sent.glb", None, files)
-        assert [one.id for one in avatars.with_own(entry.id, None).layers] == ["doll~top"]
+        with monkeypatch.context() as patched:
+            patched.setattr(in_service, "load_wearer", None)
+            patched.setattr(in_service, "load_garment", None)
+            assert [one.id for one in avatars.with_own(entry.id, None).layers] == ["doll~top"], "nothing is read again"
         if limit == 2:
             me = add(avatars, replace(bare_wearer(), name="me"), tmp_path, None)
             with pytest.raises(InputError, match="expected doll, who came in doll~top, got me"):

@@ -50,6 +50,12 @@ def test_where_it_is_not_wanted_calls_are_made_here():
     assert ConstantsProcess(lambda: False).call(os.getpid) == os.getpid()
 
 
+def test_what_is_to_be_kept_there_is_made_there_though_nobody_streams():
+    process = ConstantsProcess(lambda: False)
+    assert process.call_there(os.getpid) != os.getpid() == process.call(os.getpid)
+    process.close()
+
+
 def test_beside_a_call_that_is_made_here_another_is_made_in_the_process():
     process = ConstantsProcess(lambda: False)
     assert process.call(process.call, os.getpid) == os.getpid() and process._process is None, "none is started for that"

@@ -247,6 +247,17 @@ def test_constants_are_made_when_a_plan_is_prepared_and_once(runtime: DrapeRunti
     run(plan, [CLIP])
 
 
+def test_constants_of_two_garments_are_made_beside_each_other(
+    outfit_settings: Settings, monkeypatch: pytest.MonkeyPatch
+):
+    runtime = DrapeRuntime(outfit_settings)
+    plan = runtime.plan(runtime.garments.scene(None, ["tube", "coat"]), DrapeOptions(advanced=Advanced(folds=1)))
+    both, made = threading.Barrier(2, timeout=60.0), two_level.one_level
+    monkeypatch.setattr(two_level, "one_level", lambda *of: (both.wait(), made(*of))[1])
+    asyncio.run(runtime.prepare(plan))
+    runtime.close()
+
+
 def test_frames_do_not_wait_for_constants_of_others(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
     entry = runtime.garments.get("tube")
     plan, other = (

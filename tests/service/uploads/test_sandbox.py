@@ -10,10 +10,14 @@ from pathlib import Path
 
 import pytest
 
+from drape.avatar import own_garments as clothes
+from drape.body.assets import DEFAULT_BODY, load_body
 from drape.errors import BodyError, DrapeError, MeshError, TooLarge
 from drape.garment.cache import Garment
 from service.settings import Settings
 from service.uploads.jobs import run_sandbox
+from service.uploads.sandbox import avatar_files
+from tests.fixtures.characters import character
 from tests.fixtures.meshes import garment_obj
 from tests.fixtures.serving import served
 
@@ -22,6 +26,19 @@ def sandboxed(settings: Settings, content: bytes, name: str, folder: Path) -> di
     file = folder / name
     file.write_bytes(content)
     return asyncio.run(run_sandbox(file, "standard", folder / "out", settings))
+
+
+def test_a_wearer_is_stored_before_its_clothes_are_made(
+    make_settings: Callable[..., Settings], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """The service makes what it can of it meanwhile."""
+    (tmp_path / "me.glb").write_bytes(character(load_body(DEFAULT_BODY)))
+    seen: list[Path] = []
+    monkeypatch.setattr(
+        clothes, "own_garments", lambda *of: seen.extend(tmp_path.glob("*.npz")) or clothes.OwnGarments((), {})
+    )
+    made = avatar_files(tmp_path / "me.glb", tmp_path, meaning='{"alive": true}', body=DEFAULT_BODY)
+    assert made == ([path.name for path in seen], {}) and len(seen) == 1
 
 
 @pytest.mark.parametrize("avatar", ['{"betas": [1e308]}', '{"trans": [1e300, 0, 0]}', '{"ä": 1}' + 9000 * " "])
