@@ -85,7 +85,7 @@ class Beside:
 
 CASES = (
     ("fast", ["shirt"], "fold_two_levels"),
-    ("balanced", ["tshirt", "trousers"], "fold_two_levels"),
+    ("balanced", ["shorts", "tank"], "fold_two_levels"),
     ("accurate", ["tank"], "fold"),
     ("instant", ["dress"], "lift_alone"),
 )
