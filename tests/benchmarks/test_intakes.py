@@ -11,9 +11,9 @@ from drape.body.model import BodyModel
 from drape.catalog import find_garments
 from drape.garment.intake import STAGES
 from service.compute.drape_runtime import DrapeRuntime
-from service.settings import Settings
 from tests.drape.garment.garment_files import obj_text, shirt
 from tests.fixtures.garments import shipped
+from tests.fixtures.serving import bare_settings
 
 
 def test_a_file_has_seconds_of_every_stage_and_a_cached_garment_none(body: BodyModel, tmp_path: Path):
@@ -27,8 +27,8 @@ def test_a_file_has_seconds_of_every_stage_and_a_cached_garment_none(body: BodyM
     assert row == {"garment": "tank", "faces": len(garment.faces)}
 
 
-def test_a_garment_against_itself_takes_as_much_and_hangs_nothing():
+def test_a_garment_against_itself_takes_as_much_and_hangs_nothing(tmp_path: Path):
     garment = shipped("tank")
-    row = intakes.frame_times(DrapeRuntime(Settings(threads=1)), [garment], [garment], 1)
+    row = intakes.frame_times(DrapeRuntime(bare_settings(tmp_path)), [garment], [garment], 1)
     assert row["drawn"] == row["cloth"] == garment.vertex_count
     assert row["hang_ms"] is None and row["frame_ms"] > 0.0 and row["over_dress"] > 0.0

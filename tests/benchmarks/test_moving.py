@@ -14,13 +14,13 @@ from benchmarks.cases import FPS, CaseClip, lively_clips
 from drape.body.model import BodyModel
 from drape.motion.clip import MotionClip
 from service.compute.drape_runtime import DrapeRuntime
-from service.settings import Settings
 from tests.fixtures.garments import shipped
+from tests.fixtures.serving import bare_settings
 
 
 @pytest.fixture(scope="module")
-def drapery() -> DrapeRuntime:
-    return DrapeRuntime(Settings(threads=1))
+def drapery(tmp_path_factory: pytest.TempPathFactory) -> DrapeRuntime:
+    return DrapeRuntime(bare_settings(tmp_path_factory.mktemp("none")))
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,8 @@ def test_of_captured_clips_the_liveliest_frames_are_worn(body: BodyModel, tmp_pa
     assert lively_clips([], 32, body) == []
 
 
-def test_captured_clips_have_means_of_their_own(body: BodyModel, tmp_path: Path):
+@pytest.mark.usefixtures("few_garments")
+def test_captured_clips_have_means_of_their_own(tmp_path: Path):
     poses = np.zeros((12, 24, 3))
     poses[:, 16, 2] = np.linspace(0.0, -0.5, 12)
     MotionClip(poses, np.zeros((12, 3)), FPS, "raised").save(tmp_path / "raised.npz")

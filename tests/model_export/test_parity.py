@@ -1,7 +1,7 @@
 """Training, export and engine compute one thing: each row of a table names what, and compares all three.
 
-Training, in float64, is the reference; of the push-out that is its formula in numpy. Rounding of float32 is what
-is left between them.
+Training, in float64, is the reference: rounding of float32 is what is left between them. Of the push-out that is its
+formula (``test_push.py`` here and in ``tests/drape/graph``).
 """
 
 from __future__ import annotations
@@ -17,19 +17,15 @@ from numpy.testing import assert_allclose
 
 from drape.artifacts import MODELS_DIR, Manifest, load_manifest, read_parameters
 from drape.body.assets import load_body
-from drape.contact.projection import PushFeed
 from drape.garment.fabric_features import encoder_features
 from drape.graph.feeds import body_feed, garment_feed
-from drape.graph.layer_feed import LayerFeed
 from drape.graph.packing import Place, compose_garments, pack_body, pack_garment
-from drape.graph.push import PushConstants, push_frames
 from drape.graph.push_feed import SkinShapes
 from drape.inference.compiled import CompiledNetwork
 from drape.inference.engine import Engine
 from drape.inference.graph_names import PACKED
 from drape.inference.onnx_runtime import Session
-from model_export.parity import layer_case, parity_poses, push_case, session
-from model_export.push.push_graphs import LayerTensors, PushTensors
+from model_export.parity import parity_poses, session
 from model_export.readable_graphs import DrapeTensors, DynamicGraph, EncoderGraph, drape_inputs
 from tests.fixtures.garments import shipped
 from training.checkpoint import model_config_from
@@ -39,7 +35,6 @@ pytestmark = pytest.mark.slow
 SHIPPED = MODELS_DIR / "onefit"
 FRAMES, POSES = 3, parity_poses(3, seed=4)
 ROUNDING_M = 5e-6  # of coordinates up to a metre, through four corrections
-PUSHED_M = 2e-5  # of weights whose logits multiply squares of metres by 5000
 
 Arrays = dict[str, np.ndarray]
 Ways = tuple[np.ndarray, dict[str, np.ndarray]]  # what training gives, and what export and engine give
@@ -147,18 +142,6 @@ def motion() -> Ways:
     }
 
 
-def push(graph: str, make: Callable[[], tuple[Arrays, np.ndarray]]) -> Ways:
-    arrays, expected = make()
-    over = graph == "push_over"
-    given = (LayerTensors if over else PushTensors).from_flat(arrays)
-    assert isinstance(given.feed, LayerFeed if over else PushFeed)
-    by_engine = push_frames(
-        arrays["vertices"], given.samples(), PushConstants.of(given.feed), float(arrays["clearance"][0]),
-        under=arrays.get("under"),
-    )  # fmt: skip
-    return expected, {"export": exported(graph, arrays, "pushed"), "engine": by_engine[0]}
-
-
 @dataclass(frozen=True)
 class Row:
     """What is computed, within which rounding, and how large it is at least."""
@@ -174,10 +157,6 @@ TABLE = {
     "drape with one correction": Row(partial(drape, "shorts", passes=1, moved=True), ROUNDING_M),
     "drape of another shape": Row(partial(drape, "tank", shaped=True, moved=True), ROUNDING_M),
     "recurrent encoder": Row(motion, 1e-5),
-    "push-out": Row(partial(push, "push_out", lambda: push_case(shipped("shorts"), POSES, 0.004)), PUSHED_M),
-    "push-out over others": Row(
-        partial(push, "push_over", lambda: layer_case(shipped("shorts"), shipped("tank"), POSES, 0.004)), PUSHED_M
-    ),
 }
 
 

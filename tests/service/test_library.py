@@ -7,6 +7,7 @@ import numpy as np
 
 import drape
 from service.settings import Settings
+from tests.fixtures.garments import ship
 from tests.fixtures.serving import served
 
 
@@ -17,7 +18,7 @@ def test_frames_of_the_library_are_those_of_the_service(tmp_path):
         "garment": "tank", "tier": "balanced", "fabric": "denim", "fps": clip.fps,
         "poses": clip.poses.tolist(), "trans": clip.trans.tolist(),
     }  # fmt: skip
-    with served(Settings(garments_dir=tmp_path)) as url:
+    with served(Settings(shipped_garments_dir=ship(tmp_path / "shipped", "tank"), garments_dir=tmp_path)) as url:
         answer = httpx.post(f"{url}/drape", json=document, headers={"Accept": "application/octet-stream"}, timeout=60.0)
     assert answer.status_code == 200, answer.text
     played = np.stack([one.vertices for one in worn.play(clip, as_recorded=True)])

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
@@ -218,3 +219,5 @@ def test_meshes_that_are_too_large_or_move_by_too_many_joints_are_refused(
     monkeypatch.setattr(reading, "MOST_JOINTS", 20)
     with pytest.raises(MeshError, match="1 to 20 joints"):
         character_in(gltf.GltfFile(payload))
+    with pytest.raises(MeshError, match="at most 20 joints, got 24"):  # of several skins together
+        reading._check_joints(scipy.sparse.csr_matrix(np.eye(24)), "me")

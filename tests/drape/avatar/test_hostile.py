@@ -18,7 +18,7 @@ from drape.files.packed import packed
 from tests.fixtures.characters import character
 from tests.fixtures.hostile_characters import HALF_PAIR, spoilt_fields, spoilt_wholes
 
-FEW, MANY = 100, 2000  # of the fields' thousands, drawn by a seed
+FEW, MANY = 40, 2000  # of the fields' thousands, drawn by a seed
 
 
 def few_vertices(document: dict[str, Any]) -> None:

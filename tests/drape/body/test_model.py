@@ -131,15 +131,6 @@ def test_body_stands_upright_faces_the_front_and_spreads_its_arms():
     assert joints["left_wrist"][0] > joints["left_shoulder"][0] > 0.0 > joints["right_wrist"][0]
 
 
-def test_pose_blend_shapes_vanish_at_rest_and_ignore_the_root(small, poses, rng):
-    assert_allclose(small.posed_vertices(REST)[0], small.v_template, rtol=0.0, atol=EXACT)
-    root_only = REST.copy()
-    root_only[0, 0] = rng.normal(size=3)
-    root = small.rest_joints()[0]
-    want = (small.v_template - root) @ rotvec_to_matrix(root_only[0, 0]).T + root
-    assert_allclose(small.posed_vertices(root_only)[0], want, rtol=0.0, atol=EXACT)
-
-
 def test_pose_blend_shapes_are_added_before_skinning(small, poses):
     rotations, translations = small.bones(poses)
     offset = (rotvec_to_matrix(poses)[:, 1:] - np.eye(3)).reshape(3, -1)

@@ -32,6 +32,7 @@ def script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.setattr(made, "TAPE", tmp_path / "tape.npz")
     monkeypatch.setattr(made, "CASES", (("fast", "tank"),))
     monkeypatch.setattr(made, "FRAMES", 2)
+    monkeypatch.setenv("DRAPE_SHIPPED_GARMENTS_DIR", str(tmp_path / "none"))  # it loads those that it draws by itself
     return made
 
 

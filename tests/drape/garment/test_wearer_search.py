@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drape.body.assets import load_body
-from drape.errors import BodyError, MeshError
+from drape.errors import BodyError
 from drape.garment.avatars import standard_avatar
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake_options import IntakeOptions
@@ -214,14 +214,6 @@ def test_a_tube_that_is_a_skirt_as_well_as_a_top_has_the_other_body_that_its_opt
     np.testing.assert_allclose(chosen.vertices, expected, rtol=0, atol=1e-3)
     pelvis = [float((BODY.regressor @ skin)[0, 1]) for skin in (chosen.vertices, avatar.vertices)]
     assert abs(pelvis[0] - pelvis[1]) > 0.15  # from the hips to the chest
-
-
-def test_solid_ball_is_refused_in_words():
-    unit, faces = tube(24, 12, radius_m=1.0, height_m=1.0)
-    height = 2.0 * unit[:, 1:2] - 1.0
-    ball = np.concatenate([np.sqrt(np.maximum(1.0 - height**2, 1e-4)) * unit[:, [0, 2]], height], axis=1)[:, [0, 2, 1]]
-    with pytest.raises(MeshError, match="at best"):
-        the_wearer(plain_mesh("ball", 0.5 * ball, faces), BODY, ToldReading(("m", 1.0), "+y"))
 
 
 def test_an_outfit_for_hanging_arms_does_not_lie_on_the_standard_body():

@@ -13,12 +13,12 @@ from drape.live.two_level import TwoLevel, two_level
 from tests.fixtures.garments import shipped
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def tank() -> TwoLevel:
     return two_level(shipped("tank"), load_body(), fabric("jersey"))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def still() -> Frame:
     """The tank at rest on the body at rest, a little crumpled, so that there is something to fold."""
     garment, body = shipped("tank"), load_body()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -24,19 +25,23 @@ from drape.network.frame import Drawn, FrameGarment, Moment, Past, draw
 from drape.stages import frame
 from drape.stages.network import Network
 from service.compute.drape_runtime import DrapeRuntime
-from service.settings import Settings
 from tests.fixtures.garments import shipped
 from tests.fixtures.laws import each
 from tests.fixtures.paper_card import SOURCE, driver, fails, paper_card, turn_threads
+from tests.fixtures.serving import bare_settings
 
-FRAMES = 12
+FRAMES = 6
 
 
 @pytest.fixture(scope="module")
-def runtime() -> Iterator[DrapeRuntime]:
-    made = DrapeRuntime(Settings(threads=1))
-    yield made
-    made.close()
+def runtime(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DrapeRuntime]:
+    with closing(DrapeRuntime(bare_settings(tmp_path_factory.mktemp("none")))) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def streams(runtime: DrapeRuntime) -> Streams:
+    return Streams(runtime)
 
 
 @pytest.fixture
@@ -152,9 +157,8 @@ def reports(frames: Sequence[Any]) -> list[Any]:
     return [made.report for made in frames]
 
 
-def test_streams_and_clips_of_a_launch_are_the_engines(runtime: DrapeRuntime, lane: Lane):
+def test_streams_and_clips_of_a_launch_are_the_engines(streams: Streams, lane: Lane):
     """What a launch leaves on the card is what the next goes on from; so is what comes from a processor."""
-    streams = Streams(runtime)
     moments, later = streams.at(0.0, 1.0), streams.at(0.1, 0.05)
     wanted, vertices = streams.by_engine(NEW, moments)
     frames, found, _ = draw_by_card(Lanes([lane]), streams.worn, NEW, moments)
@@ -175,8 +179,7 @@ def test_streams_and_clips_of_a_launch_are_the_engines(runtime: DrapeRuntime, la
         assert found.tobytes() == vertices.tobytes()
 
 
-def test_frames_that_need_more_scratch_are_the_processors(runtime: DrapeRuntime, lane: Lane, monkeypatch: Any):
-    streams = Streams(runtime)
+def test_frames_that_need_more_scratch_are_the_processors(streams: Streams, lane: Lane, monkeypatch: Any):
     moments = streams.at(0.0, 0.05)
     for room in (card_jobs, card_lane):
         monkeypatch.setattr(room, "FRAME_SCRATCH_BYTES", 1 << 20)
@@ -186,9 +189,8 @@ def test_frames_that_need_more_scratch_are_the_processors(runtime: DrapeRuntime,
 
 
 @each(call=("cuMemcpyHtoD_v2", "cuLaunchKernel", "cuMemcpyDtoH_v2"))  # before, at and after a launch
-def test_streams_outlive_their_card(runtime: DrapeRuntime, lane: Lane, call: str):
+def test_streams_outlive_their_card(streams: Streams, lane: Lane, call: str):
     """What it had of them is gone, so their folds begin anew."""
-    streams = Streams(runtime)
     frames, _, _ = draw_by_card(Lanes([lane]), streams.worn, NEW, streams.at(0.0, 0.05))
     later = streams.at(0.1, 0.05)
     wanted, vertices = streams.by_engine(NEW, later)
@@ -200,8 +202,8 @@ def test_streams_outlive_their_card(runtime: DrapeRuntime, lane: Lane, call: str
     assert found.tobytes() == vertices.tobytes() and reports(again) == reports(wanted)
 
 
-def test_what_streams_leave_is_given_back(runtime: DrapeRuntime, lane: Lane):
-    streams, free_bytes = Streams(runtime), []
+def test_what_streams_leave_is_given_back(streams: Streams, lane: Lane):
+    free_bytes = []
     for _ in range(4):
         draw_by_card(Lanes([lane]), streams.worn, NEW, streams.at(0.0, 0.05))
         assert lane._pool is not None
@@ -209,12 +211,12 @@ def test_what_streams_leave_is_given_back(runtime: DrapeRuntime, lane: Lane):
     assert free_bytes[1] == free_bytes[3]
 
 
-def test_streams_are_placed_by_room_and_stay_where_their_memory_is(runtime: DrapeRuntime, monkeypatch: Any):
+def test_streams_are_placed_by_room_and_stay_where_their_memory_is(streams: Streams, monkeypatch: Any):
     """Two cards, of which one fails: its stream goes on by the other, anew."""
     monkeypatch.setattr(card_lane, "LOST_S", 60.0)
     first = paper_card(cards=2)
     both = [Lane(lambda: first), Lane(lambda: Card(SOURCE, number=1, driver=driver()[0]), share=0.4)]
-    lanes, streams = Lanes(both), Streams(runtime)
+    lanes = Lanes(both)
     moments, later = streams.at(0.0, 0.05), streams.at(0.1, 0.05)
     known, _ = streams.by_engine(NEW, moments)
     left = []
@@ -237,9 +239,9 @@ def test_streams_are_placed_by_room_and_stay_where_their_memory_is(runtime: Drap
 
 
 @each(after=(0, 3, 8, 12))
-def test_frames_that_find_no_room_are_the_processors(runtime: DrapeRuntime, lane: Lane, monkeypatch: Any, after: int):
+def test_frames_that_find_no_room_are_the_processors(streams: Streams, lane: Lane, monkeypatch: Any, after: int):
     """Whatever of a launch finds none: constants, what frames leave, or rows."""
-    streams, taken, take = Streams(runtime), [0], Pool.take
+    taken, take = [0], Pool.take
     moments = streams.at(0.0, 0.05)
 
     def runs_out(pool: Pool, size: int) -> int:

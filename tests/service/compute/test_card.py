@@ -18,19 +18,19 @@ from drape.stages.walk import run
 from service.compute import drape_runtime
 from service.compute.drape_runtime import DrapeRuntime, open_lane
 from service.http.info_routes import card_health
-from service.settings import Settings
 from tests.fixtures.garments import shipped
 from tests.fixtures.paper_card import SOURCE, driver, fails, paper_card
 from tests.fixtures.poses import random_motion
+from tests.fixtures.serving import bare_settings
 
 
 @pytest.fixture(scope="module")
-def runtime() -> Iterator[DrapeRuntime]:
+def runtime(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DrapeRuntime]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(card_lane, "LOST_S", 60.0)  # the emulation is slow
         patch.setattr(card_lane, "GATHERED_S", 0.3)  # and threads of a busy machine come late
         patch.setattr(drape_runtime, "open_lane", lambda: Lanes([Lane(paper_card)]))
-        with closing(DrapeRuntime(Settings(threads=1))) as made:
+        with closing(DrapeRuntime(bare_settings(tmp_path_factory.mktemp("none")))) as made:
             yield made
 
 

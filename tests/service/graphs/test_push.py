@@ -1,4 +1,4 @@
-"""The service's push-out: engine and graphs against the formula, bodies of any shape and kind, jets, refusals."""
+"""The service's push-out: its graph against the formula, bodies of any shape and kind, jets, refusals."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from drape.geometry.closest import signed_distance
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.geometry.skinning import skin_points
 from drape.graph.feeds import garment_feed
-from drape.graph.layer_feed import layer_feed, push_over_in_parts
 from drape.graph.push_feed import pack_push, pushed_jets
 from drape.inference.engine import Engine
 from drape.stages.batch import Jets, PoseInput
@@ -82,24 +81,6 @@ def test_vertices_and_jets_are_pushed_by_the_graph_as_the_formula_says(rng: np.r
     assert (got.left_m[moved] < most_m[moved]).all() and (got.left_m[moved] > 0.0).all()
     one = pusher.push([whole.digest], vertices[1:], skin[1:])
     assert_array_equal(one.vertices[0], got.vertices[1])
-
-
-@pytest.mark.slow
-def test_layers_are_pushed_by_the_engine_as_the_formula_says(rng: np.random.Generator):
-    body, inner, outer = load_body(), garment("tank"), garment("shorts")
-    pusher = added(Pusher(Engine(model_folder()), body), inner, outer)
-    keys, skin = (inner.digest, outer.digest), posed_table(body, POSES, BETAS)
-    under, vertices = drawn(inner, POSES, BETAS), drawn(outer, POSES, BETAS)
-    posed = posed_jets(outer, rng)
-    got = pusher.push(keys, vertices, skin, under=under, posed=posed)
-    assert got.way_m.max() > 1e-3, "must push for the test to mean something"
-    expected = push_over_in_parts(vertices, under, skin, layer_feed(outer, [inner], body), CLEARANCE)
-    assert_allclose(got.vertices, expected.vertices, rtol=0, atol=2e-5)
-    want = pushed_jets(posed.jet, posed.rotation, garment_feed(outer)["patch_scale"], expected.coefficients)
-    assert got.jet is not None and got.left_m is not None
-    assert_allclose(got.jet, want, rtol=0, atol=5e-4)
-    assert_allclose(got.left_m, expected.left_m, rtol=0, atol=2e-5)
-    assert_array_equal(pusher.push(keys, vertices, skin, under=under).vertices, got.vertices)
 
 
 def with_corrections(body: BodyModel, size_m: float) -> BodyModel:

@@ -100,11 +100,12 @@ def test_answers_are_those_that_the_document_declares(schema: BaseSchema, body: 
     for operation in operations(schema):
         for mode in ways(operation):
             with subtests.test(operation.label, mode=mode.value):
-                counted = conform(requests_of(operation, mode, known), 3)
+                counted = conform(requests_of(operation, mode, known), 2)
                 answered |= {operation.label} if counted[200] else set()
     # Refusals alone would say nothing of answers.
-    assert {"GET /health", "GET /bodies/{body_id}"} <= answered
-    assert plain_answer(schema["/garments/{garment_id}/mesh"]["GET"], known) == 200
+    assert "GET /health" in answered
+    for path in ("/bodies/{body_id}", "/garments/{garment_id}/mesh"):
+        assert plain_answer(schema[path]["GET"], known) == 200
 
 
 def test_every_reference_leads_somewhere_and_every_refusal_is_a_problem(schema: BaseSchema):
@@ -147,5 +148,5 @@ def test_drawn_motions_are_draped(schema: BaseSchema):
         return case
 
     drawn = schema["/drape"]["POST"].as_strategy(LEGAL).filter(lambda case: isinstance(case.body, dict))
-    counted = conform(drawn.map(for_the_tube), 10)
+    counted = conform(drawn.map(for_the_tube), 5)
     assert counted[200] and set(counted) <= {200, 406}
