@@ -119,10 +119,8 @@ def legs_of(name: str, body: BodyModel, wearer: BodyModel) -> Iterator[tuple[flo
         knee, ankle = wearer.joints_template[bones[1:3], 1]
         skin = wearer.v_template[body.weights[:, bones].sum(axis=1) > 0.5]
         cloth = made[np.isin(bone, bones)]
-        yield (
-            side,
-            *(points[(points[:, 1] > ankle) & (points[:, 1] < 0.5 * (knee + ankle))] for points in (cloth, skin)),
-        )
+        cloth, skin = (one[(one[:, 1] > ankle) & (one[:, 1] < 0.5 * (knee + ankle))] for one in (cloth, skin))
+        yield side, cloth, skin
 
 
 def test_slim_trousers_lie_round_each_leg_wherever_a_rig_has_its_hips(body: BodyModel, narrow: BodyModel):
