@@ -14,6 +14,8 @@ from drape.garment.rest_pose import LEGS, skirt_blend
 from drape.geometry.closest import nearest_vertices
 
 APART_M = 0.003  # cloth of a leg from the plane between both
+HEM_M = 0.02  # the depth of a leg of cloth is that of so much at its end
+LEANING = 0.3  # of half that depth: as shins lean forward, cloth before them comes down to the shoe
 SHORTEST = 0.4  # of the way from knee to ankle: no shoe makes legs of trousers end higher
 
 
@@ -31,11 +33,13 @@ def above_shoes(
     places = [body.regressor @ one.v_template for one in (body, wearer)]
     for bones in LEGS.values():
         knee, ankle = places[1][bones[1:3], 1]
-        share = max((knee - shoes_m) / (knee - ankle), SHORTEST)
+        below = places[0][bones[1], 1]
+        own = (body.weights[:, bones].sum(axis=1) > 0.5)[nearest] & (standing[:, 1] < below)
+        hem = standing[own, 1].min(initial=below)
+        before_m = 0.5 * np.ptp(standing[own & (standing[:, 1] < hem + HEM_M), 2]) if hem < below else 0.0
+        share = max((knee - shoes_m - LEANING * before_m) / (knee - ankle), SHORTEST)
         knee, ankle = places[0][bones[1:3], 1]
         least = knee - share * (knee - ankle)
-        own = (body.weights[:, bones].sum(axis=1) > 0.5)[nearest] & (standing[:, 1] < knee)
-        hem = standing[own, 1].min(initial=knee)
         if hem < least:
             shorter[own, 1] = knee + (standing[own, 1] - knee) * (knee - least) / (knee - hem)
     return shorter

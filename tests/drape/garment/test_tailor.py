@@ -140,7 +140,7 @@ def test_trousers_end_above_shoes_and_skirts_stay(body: BodyModel, narrow: BodyM
     for share in (1.0, 0.7):
         shoes_m = knee - share * (knee - ankle)
         made = tailored(shipped("slim_trousers"), body, narrow, shoes_m=shoes_m)
-        assert shoes_m - 0.01 < made.vertices[:, 1].min() < shoes_m + 0.02
+        assert shoes_m + 0.005 < made.vertices[:, 1].min() < shoes_m + 0.04  # and higher, as shins lean
     skirt = shipped("circle_skirt")
     standing, faces = skirt.vertices.astype(float), skirt.fine_faces.astype(int)
     assert above_shoes(standing, faces, body, narrow, float(knee)) is standing
