@@ -169,7 +169,10 @@ class Drape:
             entries = (*map(_own_entry, below), *entries, *map(_own_entry, over))
             body = wearer.body_under(halves_on(wearer, [one.garment for one in entries], self.body))
             stages = self._stages_of(body)
-            cut = [tailored(one.garment, body_of(one.garment, wearer, self.body), body) for one in entries]
+            cut = [
+                tailored(one.garment, body_of(one.garment, wearer, self.body), body, shoes_m=wearer.shoes_m)
+                for one in entries
+            ]
             entries = tuple(replace(one, garment=its, worn=stages) for one, its in zip(entries, cut, strict=True))
         if len(entries) > 1:
             check_layers([entry.garment for entry in entries])

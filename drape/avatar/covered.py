@@ -55,7 +55,7 @@ def covered_faces(
     in the same pose. Such a face lies below the cloth, or stands out of it by at most ``out_m`` [m], and is
     ``margin_m`` [m] or more from all that is not under it.
     """
-    points, owner = _spread(np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64))
+    points, owner = points_on(np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64))
     covered = np.zeros(len(faces), dtype=bool)
     for cloth, triangles in garments:
         mesh = np.asarray(cloth, dtype=np.float64), np.asarray(triangles, dtype=np.int64)
@@ -107,7 +107,7 @@ def _under(points: np.ndarray, cloth: np.ndarray, faces: np.ndarray, out_m: floa
     return under
 
 
-def _spread(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def points_on(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points [m] (n, 3) on ``faces``, at most ``SPACING_M`` apart, and the face (n,) of each: corners and middles of
     triangles that are cut in four until they are small."""
     corners, owner = vertices[faces], np.arange(len(faces))

@@ -27,6 +27,7 @@ from drape.avatar.file_skeleton import FileRig, file_rig
 from drape.avatar.mapping import NAMES, mapped
 from drape.avatar.own_clothes import Halves, layers_of, shrunk
 from drape.avatar.parts import PARTS, counted_vertices
+from drape.avatar.shoes import shoes_height
 from drape.avatar.t_pose import TPose, t_posed
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
@@ -94,6 +95,11 @@ class Wearer:
         """The body below garments for the upper half alone: that with its own trousers on, a second of work where none
         is made yet; ``body`` where it has none."""
         return upper_body(self) if self.over is None else self.over
+
+    @cached_property
+    def shoes_m(self) -> float:
+        """Where its shoes end, the height that ``shoes_height`` returns."""
+        return shoes_height(self.body, self.vertices, self.faces, self.weights)
 
     @property
     def joints(self) -> dict[str, str]:

@@ -19,7 +19,7 @@ from drape.garment.cache import Garment
 from drape.garment.rest_pose import skirt_blend
 
 THICKEST = 0.45  # of the length of a leg: persons have 0.1, stylised children 0.2, figures of games 0.53 and more
-STOUTEST = 0.6  # skirts, dresses and shorts stand off legs that are thicker, and are trodden on
+STOUTEST = 0.55  # skirts, dresses and shorts stand off legs that are thicker, and are trodden on
 HIP, KNEE, ANKLE = (JOINT_NAMES.index(f"left_{joint}") for joint in ("hip", "knee", "ankle"))
 LEAST_SHARE = 0.1  # of a garment's vertices at the shins, to go round them
 

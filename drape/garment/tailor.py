@@ -23,27 +23,32 @@ from drape.garment.clearance import clear_body
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.fitting import fit_garment
 from drape.garment.rest_pose import to_standard
+from drape.garment.trouser_legs import above_shoes, apart
 from drape.geometry import meshes
 
 ROUNDS = 12
 ANY_M = np.inf  # thighs of characters may touch or overlap: no depth is a fault of the cloth, frames lift what is left
-VERSION = 3  # raised when a change here changes the garments that come out
+VERSION = 4  # raised when a change here changes the garments that come out
 
 
-def tailored_digest(garment: Garment, wearer: BodyModel) -> str:
-    """The hex digest of ``garment`` as ``wearer`` gets it."""
-    return hashlib.sha256(f"tailored {VERSION} {garment.digest} {wearer.digest}".encode()).hexdigest()
+def tailored_digest(garment: Garment, wearer: BodyModel, shoes_m: float = -np.inf) -> str:
+    """The hex digest of ``garment`` as ``wearer`` gets it, whose shoes reach up to ``shoes_m`` [m]."""
+    return hashlib.sha256(f"tailored {VERSION} {garment.digest} {wearer.digest} {shoes_m:.4f}".encode()).hexdigest()
 
 
-def tailored(garment: Garment, body: BodyModel, wearer: BodyModel) -> Garment:
+def tailored(garment: Garment, body: BodyModel, wearer: BodyModel, *, shoes_m: float = -np.inf) -> Garment:
     """Returns ``garment``, which was made for ``body``, cut for ``wearer``, a body of the same topology; the garment
-    itself where both are one body.
+    itself where both are one body. Legs of trousers end above ``shoes_m`` [m], the height that its shoes reach.
     """
     if body.digest == wearer.digest:
         return garment
     faces, standing = garment.fine_faces.astype(np.int64), garment.vertices.astype(np.float64)
     source = Avatar(body.v_template, body.faces, 0.0, body.name)
-    moved = to_standard(standing, faces, source, wearer).vertices
+    # What is a sleeve, a leg or a skirt is asked of the body that it was made for: a wearer's own regressor and weights
+    # say nothing about another shape, and took trousers for skirts.
+    shorter = above_shoes(standing, faces, body, wearer, shoes_m)
+    moved = to_standard(shorter, faces, source, replace(body, v_template=wearer.v_template)).vertices
+    moved = apart(moved, standing, body, wearer)
     cleared = clear_body(
         moved, faces, wearer.v_template, wearer.faces, rounds=ROUNDS, least_m=-ANY_M, give_up_m=ANY_M
     ).vertices
@@ -53,8 +58,8 @@ def tailored(garment: Garment, body: BodyModel, wearer: BodyModel) -> Garment:
         garment.material_names, garment.face_material, looks=garment.looks,
     )  # fmt: skip
     bound = fit_garment(
-        mesh, cleared, faces, wearer, digest=tailored_digest(garment, wearer), manifest=dict(garment.manifest),
-        count=garment.patch_count, like=garment, arm=garment.arm_share,
+        mesh, cleared, faces, wearer, digest=tailored_digest(garment, wearer, shoes_m),
+        manifest=dict(garment.manifest), count=garment.patch_count, like=garment, arm=garment.arm_share,
     )  # fmt: skip
     rest = garment.rest_state()
     edges = stretched(rest.edges, standing, cleared, faces)

@@ -333,12 +333,15 @@ class _Dressed:
             if halves == (True, False) and self.wearer.over is None:
                 self.wearer = replace(self.wearer, over=self._make(upper_body, self.wearer))
             body = self.wearer.body_under(halves)
-            digest = tailored_digest(entry.garment, body)
+            shoes_m = self.wearer.shoes_m
+            digest = tailored_digest(entry.garment, body, shoes_m)
             if body.digest not in self.stages:
                 self.stages[body.digest] = self._stages_on(body)
             if digest not in self._cut:
                 made_for = body_of(entry.garment, self.wearer, self._standard)
                 same = made_for.digest == body.digest
-                garment = entry.garment if same else self._make(tailored, entry.garment, made_for, body)
+                garment = (
+                    entry.garment if same else self._make(tailored, entry.garment, made_for, body, shoes_m=shoes_m)
+                )
                 self._cut[digest] = replace(entry, garment=garment, worn=self.stages[body.digest])
             return self._cut[digest]

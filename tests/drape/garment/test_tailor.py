@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from drape.avatar.avatar_body import _regressor
 from drape.body.model import BodyModel
 from drape.files.looks import Looks, Material
 from drape.garment.cache import Garment
 from drape.garment.clearance import CLEARANCE_M
+from drape.garment.rest_pose import LEGS
 from drape.garment.tailor import _metric, stretched, tailored, tailored_digest
+from drape.garment.trouser_legs import above_shoes
 from drape.geometry import meshes
-from drape.geometry.closest import signed_distance
+from drape.geometry.closest import nearest_vertices, signed_distance
 from tests.fixtures.garments import shipped
 
 LOOKS = Looks((Material((0.2, 0.4, 0.6, 1.0)),), ())
@@ -88,3 +92,55 @@ def test_it_keeps_its_mesh_its_cloth_and_its_name(cut: tuple[Garment, BodyModel]
     assert (made.faces == tube.faces).all() and (made.fine_faces == tube.fine_faces).all()
     assert made.body_digest == wearer.digest and made.digest == tailored_digest(tube, wearer)
     assert_allclose(made.rest_state().hinge_angle, tube.rest_state().hinge_angle, atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def narrow(body: BodyModel) -> BodyModel:
+    """A body whose legs are nearer to each other, with a rig whose hips lie higher in it, and legs begin there."""
+    legs = body.weights[:, LEGS["left"] + LEGS["right"]].sum(axis=1)
+    vertices = body.v_template.copy()
+    vertices[:, 0] *= 1.0 - 0.4 * legs
+    joints = body.regressor @ vertices
+    joints[[LEGS["left"][0], LEGS["right"][0]], 1] += 0.06
+    weights = body.weights[nearest_vertices(vertices - [0.0, 0.06, 0.0], vertices)[1]]
+    return BodyModel(
+        "narrow", "narrow", vertices, np.zeros_like(body.shapedirs), _regressor(vertices, joints, body), weights,
+        body.faces, standard_digest=body.digest,
+    )  # fmt: skip
+
+
+def legs_of(name: str, body: BodyModel, wearer: BodyModel) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
+    """The side of each leg, and of the garment ``name`` cut for ``wearer`` the cloth [m] (n, 3) and the skin [m] (m, 3)
+    from half its shin down to its ankle."""
+    garment = shipped(name)
+    made = tailored(garment, body, wearer).vertices
+    bone = body.weights.argmax(axis=1)[nearest_vertices(garment.vertices, body.v_template)[1]]
+    for side, bones in ((1.0, LEGS["left"]), (-1.0, LEGS["right"])):
+        knee, ankle = wearer.joints_template[bones[1:3], 1]
+        skin = wearer.v_template[body.weights[:, bones].sum(axis=1) > 0.5]
+        cloth = made[np.isin(bone, bones)]
+        cloth, skin = (one[(one[:, 1] > ankle) & (one[:, 1] < 0.5 * (knee + ankle))] for one in (cloth, skin))
+        yield side, cloth, skin
+
+
+def test_slim_trousers_lie_round_each_leg_wherever_a_rig_has_its_hips(body: BodyModel, narrow: BodyModel):
+    """A wearer's regressor tells hips of the standard body elsewhere: trousers are no skirt for that."""
+    for _, cloth, skin in legs_of("slim_trousers", body, narrow):
+        middles = [0.5 * (points[:, 0].min() + points[:, 0].max()) for points in (cloth, skin)]
+        assert abs(middles[0] - middles[1]) < 0.01
+
+
+def test_wide_trousers_do_not_lie_over_the_other_leg(body: BodyModel, narrow: BodyModel):
+    for side, cloth, _ in legs_of("trousers", body, narrow):
+        assert (side * cloth[:, 0]).min() > 0.0
+
+
+def test_trousers_end_above_shoes_and_skirts_stay(body: BodyModel, narrow: BodyModel):
+    knee, ankle = (body.regressor @ narrow.v_template)[LEGS["left"][1:3], 1]
+    for share in (1.0, 0.7):
+        shoes_m = knee - share * (knee - ankle)
+        made = tailored(shipped("slim_trousers"), body, narrow, shoes_m=shoes_m)
+        assert shoes_m + 0.005 < made.vertices[:, 1].min() < shoes_m + 0.04  # and higher, as shins lean
+    skirt = shipped("circle_skirt")
+    standing, faces = skirt.vertices.astype(float), skirt.fine_faces.astype(int)
+    assert above_shoes(standing, faces, body, narrow, float(knee)) is standing
