@@ -45,8 +45,8 @@ def test_recorded_frames_are_drawn_again(script: ModuleType, capsys: pytest.Capt
     launches = script.Launches(paper_card(), tape, 1)
     names = launches.names("compared")
     assert script.compared(launches, names, 256) == [
-        {"what": "fast/tank", "off_mm": 0.0},
-        {"what": "instant/shorts tank", "off_mm": 0.0},
+        {"what": "fast/tank", "off_mm": 0.0, "farthest_mm": 0.0},
+        {"what": "instant/shorts tank", "off_mm": 0.0, "farthest_mm": 0.0},
     ]
     assert [name.removeprefix("timed/") for name in launches.names("timed")] == [
         "fast tank/1", "instant shorts tank/1", "mixed/3",
@@ -58,8 +58,9 @@ def test_recorded_frames_are_drawn_again(script: ModuleType, capsys: pytest.Capt
     told = capsys.readouterr().out
     assert "no card was found; the kernel compiles for sm_90: 64 registers" in told and "not measured" in told
     tape[f"{names[0]}/vertices"] = tape[f"{names[0]}/vertices"] + np.float32(0.001)
-    assert launches.off_mm(names[0], 256) > 0.9
-    assert script.judged([{"off_mm": np.nan}]) == 1
+    assert min(launches.off_mm(names[0], 256)) > 0.9
+    for off_mm, farthest_mm in ((0.0, np.nan), (0.02, 0.02), (0.0, 2.0)):
+        assert script.judged([{"off_mm": off_mm, "farthest_mm": farthest_mm}]) == 1
 
 
 def test_without_what_was_recorded_it_says_so(script: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: Any):
