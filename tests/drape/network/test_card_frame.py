@@ -35,7 +35,7 @@ from tests.fixtures.garments import shipped
 from tests.fixtures.laws import each
 from tests.fixtures.paper_card import SOURCE, driver, fails, paper_card, turn_threads
 
-FRAMES = 5
+FRAMES = 12
 
 
 @pytest.fixture(scope="module")
