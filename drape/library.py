@@ -45,6 +45,7 @@ from drape.garment.cache import Garment
 from drape.garment.tailor import tailored
 from drape.graph.layer_feed import check_layers
 from drape.inference.engine import Engine
+from drape.live.card_lanes import open_lanes
 from drape.motion.clip import MotionClip
 from drape.motion.grounding import place_on_ground
 from drape.motion.readers import read_motion
@@ -94,7 +95,7 @@ def load(model: str | Path = MODEL, body: str | Path = DEFAULT_BODY) -> Drape:
     """
     folder = Path(model)
     engine = Engine(folder if folder.is_dir() else ASSETS / "models" / str(model))
-    return Drape(Runtime(engine, load_body(str(body)), Defaults()))
+    return Drape(Runtime(engine, load_body(str(body)), Defaults(), lane=open_lanes()))
 
 
 class Drape:

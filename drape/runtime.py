@@ -26,7 +26,7 @@ class RuntimeSettings(StageSettings, TierSettings, Protocol):
 
 class Runtime:
     """Drapes by the model that ``engine`` has opened, on ``body`` or on characters; ``make`` calls a function that
-    takes long, and the ``lane`` of a card draws folds. Refuses (``ArtifactError``) a model of another body."""
+    takes long, and the ``lane`` of cards draws frames. Refuses (``ArtifactError``) a model of another body."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""A graphics card by its driver: its memory, and launches of the engine's kernels (``card_frames`` says of what).
+"""A graphics card by its driver: its memory, and launches of the engine's frames (``card_jobs``).
 
 ``python -m drape.engine.card`` compiles the kernels for the cards of ``ARCHITECTURES`` with CUDA's ``nvcc``, and needs
 no card for it. Calls go to NVIDIA's driver itself, so that nothing else of CUDA need be installed where they run.
@@ -88,11 +88,11 @@ class Card:
         self.enter()
         if self.free_bytes < LEAST_BYTES:
             raise _missing(f"{LEAST_BYTES >> 20} MB free on {self.name}", f"{self.free_bytes >> 20} MB")
-        self._folds, self._frames = self._loaded(path)
+        self._frames = self._loaded(path)
 
-    def _loaded(self, path: Path) -> list[ctypes.c_void_p]:
-        """The functions of the kernels in ``path``."""
-        module, found = ctypes.c_void_p(), [ctypes.c_void_p(), ctypes.c_void_p()]
+    def _loaded(self, path: Path) -> ctypes.c_void_p:
+        """The function of the kernel in ``path``."""
+        module, found = ctypes.c_void_p(), ctypes.c_void_p()
         image = path.read_bytes()
         try:
             self._do("cuModuleLoadData", ctypes.byref(module), image)
@@ -103,8 +103,7 @@ class Card:
         self.read(address.value, own)
         if int(own[0]) != HASH:
             raise _missing(f"kernels of this engine, {HASH:016x}", f"{path} of {int(own[0]):016x}")
-        for function, name in zip(found, (b"drape_folds", b"drape_frames"), strict=True):
-            self._do("cuModuleGetFunction", ctypes.byref(function), module, name)
+        self._do("cuModuleGetFunction", ctypes.byref(found), module, b"drape_frames")
         return found
 
     def enter(self) -> None:
@@ -138,27 +137,21 @@ class Card:
         given = ctypes.c_uint64(address), ctypes.c_size_t(numbers.nbytes)
         self._do("cuMemcpyDtoH_v2", ctypes.c_void_p(address_of(numbers)), *given)
 
-    def folds(self, tasks: int, count: int, threads: int) -> None:
-        """Begins a launch: a group of ``threads`` for each of the ``count`` tasks at the address ``tasks``."""
-        self._launch(self._folds, count, threads, ctypes.c_uint64(tasks))
-
     def frames(self, tasks: int, count: int, groups: int, threads: int) -> None:
         """Begins a launch of so many ``groups`` of ``threads``, which share the ``count`` frames of ``tasks``."""
-        self._launch(self._frames, groups, threads, ctypes.c_uint64(tasks), ctypes.c_int64(count))
-
-    def _launch(self, function: ctypes.c_void_p, groups: int, threads: int, *given: Any) -> None:
+        given = ctypes.c_uint64(tasks), ctypes.c_int64(count)
         each = (ctypes.c_void_p * len(given))(*map(ctypes.addressof, given))
         sizes = (ctypes.c_uint(one) for one in (groups, 1, 1, threads, 1, 1, 0))
-        self._do("cuLaunchKernel", function, *sizes, None, each, None)
+        self._do("cuLaunchKernel", self._frames, *sizes, None, each, None)
 
-    def timed(self, tasks: int, count: int, threads: int, rounds: int) -> float:
-        """Launches the tasks ``rounds`` times; the time that it took [ms]."""
+    def timed(self, tasks: int, count: int, groups: int, threads: int, *, rounds: int) -> float:
+        """Makes such a launch ``rounds`` times; the time that it took [ms]."""
         begin, end = ctypes.c_void_p(), ctypes.c_void_p()
         for event in (begin, end):
             self._do("cuEventCreate", ctypes.byref(event), 0)
         self._do("cuEventRecord", begin, None)
         for _ in range(rounds):
-            self.folds(tasks, count, threads)
+            self.frames(tasks, count, groups, threads)
         self._do("cuEventRecord", end, None)
         self._do("cuEventSynchronize", end)
         took_ms = ctypes.c_float()

@@ -1,4 +1,4 @@
-"""Frames of folds in a card's memory: flat records in one pool, and a launch for the frames of many streams.
+"""Records in a card's memory: flat, in one pool.
 
 A record and its arrays lie in one piece, so that it comes and goes by one copy. This file needs NumPy alone.
 """
@@ -14,9 +14,6 @@ import numpy as np
 
 from drape.engine.packer import Record, Recorded, address_of
 
-STEPS = {"fold": 0, "fold_two_levels": 1, "lift_alone": 2}
-OUTCOME = 7  # numbers of 64 bits that a frame tells
-SCRATCH_BYTES = 16 << 20  # of a frame, most of it for cloth that crosses itself everywhere
 ALIGNED = 256  # pieces of memory begin at multiples of it
 BEHIND = 16  # bytes behind each array: points are read with a number more
 
@@ -34,10 +31,6 @@ class Memory(Protocol):
 
     def read(self, address: int, numbers: np.ndarray) -> None:
         """Fills the array ``numbers`` with what is at ``address``."""
-        ...
-
-    def folds(self, tasks: int, count: int, threads: int) -> None:
-        """Begins a launch of the ``count`` tasks at the address ``tasks``."""
         ...
 
     def frames(self, tasks: int, count: int, groups: int, threads: int) -> None:
@@ -174,75 +167,6 @@ class CardRecord:
     def give(self) -> None:
         """Gives its memory back."""
         self.pool.give(self.address)
-
-
-class Frames:
-    """The frames of folds that one launch computes. ``give`` returns their memory to the pool."""
-
-    def __init__(self, pool: Pool) -> None:
-        self._pool, self._words = pool, list[int]()
-        self._shapes, self._results, self._pieces = list[tuple[int, ...]](), list[int](), list[int]()
-        self.tasks = 0
-
-    def __len__(self) -> int:
-        return len(self._results)
-
-    def add(self, name: str, vertices: np.ndarray, *records: CardRecord) -> None:
-        """Adds a frame that the engine's function ``name`` computes of ``vertices`` [m] (V, 3) float32.
-
-        ``records`` are those of its past, its surroundings, its cloth, its effort, and what it leaves to the next
-        frame. Raises ``MemoryError`` where the pool has no room for it.
-        """
-        size = _rounded(vertices.nbytes)
-        folded = self._take(2 * size + 8 * OUTCOME + 40 + BEHIND)  # folded vertices, outcome, scratch; vertices
-        outcome, scratch = folded + size, folded + size + 8 * OUTCOME
-        given = scratch + 40
-        piece = np.empty(40 + vertices.nbytes, np.uint8)
-        piece[:32] = np.array([self._take(SCRATCH_BYTES), SCRATCH_BYTES, 0, 0], np.uint64).view(np.uint8)
-        piece[40:] = np.ascontiguousarray(vertices).reshape(-1).view(np.uint8)
-        self._pool.card.write(scratch, piece)
-        self._words += [STEPS[name], given, *(one.address for one in records), folded, outcome, scratch]
-        self._results.append(folded)
-        self._shapes.append(vertices.shape)
-
-    def place(self) -> int:
-        """Writes the tasks of the launch to the card, and returns their address there."""
-        words = np.array(self._words, np.uint64)
-        self.tasks = self._take(words.nbytes)
-        self._pool.card.write(self.tasks, words)
-        return self.tasks
-
-    def draw(self, threads: int) -> None:
-        """Begins the launch of all frames, each by so many ``threads``, and does not wait for its end."""
-        self._pool.card.folds(self.tasks or self.place(), len(self), threads)
-
-    def drawn(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Returns for each frame the folded vertices [m] (V, 3) and the numbers that the engine writes of it
-        (``OUTCOME``,) int64. Raises ``MemoryError`` where scratch was too small."""
-        frames = []
-        for folded, shape in zip(self._results, self._shapes, strict=True):
-            count = 12 * shape[0]
-            piece = np.empty(_rounded(count) + 8 * OUTCOME + 32, np.uint8)
-            self._pool.card.read(folded, piece)
-            told = piece[_rounded(count) :].view(np.int64)
-            if told[-1] & 1:
-                raise MemoryError(f"a frame on a card needs more than {SCRATCH_BYTES} bytes of scratch")
-            frames.append((piece[:count].view(np.float32).reshape(shape), told[:OUTCOME]))
-        return frames
-
-    def give(self) -> None:
-        """Gives back the memory of all of them."""
-        while self._pieces:
-            self._pool.give(self._pieces.pop())
-
-    def _take(self, size: int) -> int:
-        self._pieces.append(self._pool.take(size))
-        return self._pieces[-1]
-
-
-def idle_bytes(memories: Sequence[Record], streams: int = 1) -> int:
-    """Returns the bytes of a pool that so many idle ``streams`` take, each of garments with these ``memories``."""
-    return streams * sum(piece_bytes(Flat(record).size) for record in memories)
 
 
 def piece_bytes(size: int) -> int:

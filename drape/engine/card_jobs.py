@@ -7,7 +7,7 @@ launch are made by a few sums over all of them. This file needs NumPy alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from drape.engine.packer import Record, address_of
 
 FRAME_SCRATCH_BYTES = 32 << 20  # of a group of threads
 TASK = 5  # words of a task: the row, where the frame tells, scratch and its size, and the frames of its chain
-TOLD = 17  # numbers of 64 bits that a frame tells, the last of which is what the engine's function returns
+TOLD = 17  # numbers of 64 bits that a frame tells of a garment, the last of which is what the engine's function returns
 
 
 class FrameTemplate:
@@ -32,9 +32,10 @@ class FrameTemplate:
         self, call: Record, numbers: np.ndarray, pieces: Sequence[np.ndarray], placed: Sequence[CardRecord]
     ) -> None:
         there = {one.flat.record.address for one in placed}
-        parts = [call.words, *(one.words for one in call.parts if one.address not in there), numbers]
+        inner = (one for one in call.arrays if one.dtype == np.uint64 and one is not numbers)
+        parts = [call.words, *inner, *(one.words for one in call.parts if one.address not in there), numbers]
         begins = np.cumsum([0, *(part.nbytes for part in parts)]).tolist()
-        self.starts = [begin // 8 for begin in begins[:-1]]  # of the call, of each part, and of the numbers
+        self.starts = [begin // 8 for begin in begins[:-1]]  # of the call, its layers, each part, and the numbers
         self.words = np.concatenate(parts)
         kept = [(address_of(part), part.nbytes, 0, begin) for part, begin in zip(parts, begins, strict=False)]
         kept += [(address_of(one), one.nbytes, number, 0) for number, one in enumerate(pieces, 1) if one.size]
@@ -78,7 +79,7 @@ class FrameLaunch:
     """The frames of a launch: their rows go to the card by one copy, and what they tell comes back by one."""
 
     def __init__(self, pool: Pool) -> None:
-        self._pool, self._groups, self._chains = pool, list[Group](), list[int]()
+        self._pool, self._groups, self._chains, self._layers = pool, list[Group](), list[int](), list[int]()
         self._row_words = self._back_bytes = self._aside_bytes = 0
 
     def __len__(self) -> int:
@@ -93,12 +94,13 @@ class FrameLaunch:
             self._aside_bytes += piece_bytes(size)
         return begin
 
-    def chains(self, lengths: Iterable[int]) -> int:
-        """Adds frames in chains of these ``lengths``, of which each goes on from the one before. Returns the place of
-        the first one."""
-        begin = len(self)
+    def chains(self, lengths: Sequence[int], layers: int) -> tuple[int, int]:
+        """Adds frames of so many ``layers`` in chains of these ``lengths``, of which each goes on from the one before.
+        Returns the place of the first one among frames, and among the layers of all."""
+        begin = len(self), sum(self._layers)
         for length in lengths:
             self._chains += [length, *[0] * (length - 1)]
+        self._layers += [layers] * sum(lengths)
         return begin
 
     def add(self, group: Group) -> None:
@@ -131,19 +133,19 @@ class FrameLaunch:
             template.fill(rows, np.concatenate([begin[:, None], pieces, ends], axis=1).astype(np.uint64))
             rows[:, columns] = numbers
             tasks[place, 0], first = begin, first + rows.size
-        tasks[:, 1] = out + 8 * TOLD * np.arange(len(self))
+        tasks[:, 1] = out + 8 * TOLD * (np.cumsum(self._layers) - self._layers)
         tasks[:, 2], tasks[:, 3], tasks[:, 4] = scratch, FRAME_SCRATCH_BYTES, self._chains
         self._pool.card.write(at, words)
         self._pool.card.frames(at, len(self), min(groups, len(self)), threads)
 
     def told(self, out: int) -> tuple[np.ndarray, np.ndarray]:
-        """Returns what the frames of the launch that wrote at ``out`` tell (F, TOLD) int64, and the uint8 that came
+        """Returns what the layers of the launch that wrote at ``out`` tell (L, TOLD) int64, and the uint8 that came
         back."""
         found = np.empty(self._told_bytes + self._back_bytes, np.uint8)
         self._pool.card.read(out, found)
-        told = found[: 8 * TOLD * len(self)].view(np.int64).reshape(-1, TOLD)
+        told = found[: 8 * TOLD * sum(self._layers)].view(np.int64).reshape(-1, TOLD)
         return told, found[self._told_bytes :]
 
     @property
     def _told_bytes(self) -> int:
-        return piece_bytes(8 * TOLD * len(self))
+        return piece_bytes(8 * TOLD * sum(self._layers))

@@ -232,7 +232,7 @@ RECORDS: dict[str, dict[str, str]] = {
         "tile_patch": "int32s",
         "slot_charts": "int32s",
     },
-    # One frame in one call: ``drape.network.frame``. ``Name[]`` is one of these or none.
+    # One frame in one call: ``drape.network.frame``. ``Name[]`` is one of these or none; layers are one or more.
     "FrameParts": {
         "weights": "Weights[]",
         "kept": "KeptPoses[]",
@@ -241,24 +241,30 @@ RECORDS: dict[str, dict[str, str]] = {
         "swing": "SwingConstants[]",
         "cloth": "FoldConstants[]",
         "levels": "Levels[]",
+        "laid": "LaidCloth[]",
         "effort": "FoldEffort[]",
         "novel_effort": "FoldEffort[]",
         "passes": "count",
         "share": "number",
-        "step_count": "number",
+        "read": "count",
     },
-    "FrameCall": {
+    "LayerCall": {
         "parts": "FrameParts[]",
-        "body": "BodyFeed[]",
         "lifts": "count",
-        "turns": "float64s",
-        "colliders": "float64s",
         "swung_before": "SwingMemory[]",
         "swung": "SwingMemory[]",
         "folded_before": "FoldMemory[]",
         "folded": "FoldMemory[]",
         "vertices": "numbers",
+    },
+    "FrameCall": {
+        "layers": "LayerCall[]",
+        "body": "BodyFeed[]",
+        "turns": "float64s",
+        "colliders": "float64s",
+        "shown": "numbers",
         "steps": "uint16s",
+        "step_count": "number",
     },
     # Offline physics: ``drape.cloth.problem``, ``drape.exact.surroundings``, ``hessian`` and ``linear`` there.
     "Triangles": {

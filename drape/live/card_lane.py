@@ -1,7 +1,6 @@
-"""The lane of a graphics card: frames of folds of many streams, gathered for two milliseconds and drawn by one launch.
+"""The lane of a graphics card: frames of many streams, gathered for two milliseconds and drawn by one launch.
 
-A frame's past is on the card if the lane drew it, and on the host as well, so that a card may fail at any time: whoever
-waits for it, and all after, are computed by the processor from what the host has.
+A card may fail at any time: the frames of whoever waits for it, and all after, are the processor's.
 """
 
 from __future__ import annotations
@@ -10,18 +9,15 @@ import queue
 import threading
 import time
 import weakref
-from collections import OrderedDict, deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from drape.engine import card_frames
-from drape.engine.calls import call_with_scratch
 from drape.engine.card import Card
-from drape.engine.card_frames import CardRecord, Frames, Pool, idle_bytes
+from drape.engine.card_frames import CardRecord, Pool
 from drape.engine.card_jobs import FRAME_SCRATCH_BYTES, FrameLaunch
 from drape.engine.packer import Record, Recorded
 from drape.errors import DrapeError
@@ -29,9 +25,7 @@ from drape.live.card import for_card
 
 GATHERED_S, MOST, THREADS = 0.002, 256, 512  # of a launch: how long it is waited for, frames, threads of each
 LOST_S = 0.75  # without an answer: the card counts as failed
-KEPT_SHARE = 0.5  # of the memory for streams that rest, at most
 
-Value = TypeVar("Value")
 Found = TypeVar("Found")
 
 
@@ -91,20 +85,6 @@ class Asked(Protocol):
         ...
 
 
-@dataclass(eq=False)
-class _Job:
-    """A frame that waits: what the engine would be given, and ``drawn`` once the card has drawn it."""
-
-    name: str
-    given: tuple[Any, ...]
-    since_s: float = field(default_factory=time.monotonic)
-    done: threading.Event = field(default_factory=threading.Event)
-    drawn: tuple[np.ndarray, np.ndarray, list[np.ndarray]] | None = None
-
-    def __len__(self) -> int:
-        return 1
-
-
 class Lane:
     """The thread that gives frames to a card, which ``open_card`` opens. Its pool takes ``share`` of the free memory.
 
@@ -112,31 +92,27 @@ class Lane:
     """
 
     def __init__(self, open_card: Callable[[], Card], *, share: float = 0.8) -> None:
-        self._open, self._share, self._queue = open_card, share, queue.SimpleQueue[_Job | Asked | None]()
+        self._open, self._share, self._queue = open_card, share, queue.SimpleQueue[Asked | None]()
         self._ready, self._lock = threading.Event(), threading.Lock()
-        self._left = OrderedDict[int, tuple[list[np.ndarray], CardRecord]]()  # by what the host holds of a memory
-        self._left_bytes, self._busy_s, self._begun_s = 0, 0.0, time.monotonic()
+        self._busy_s, self._begun_s = 0.0, time.monotonic()
         self._gone = deque[CardRecord]()  # of cloths that nobody has any more
         self._kept = weakref.WeakKeyDictionary[Any, dict[str, Any]]()  # what is made of something for the card
         self._given = deque[tuple[int, int]]()  # sizes and addresses of slots that nobody has any more
         self._free: dict[int, list[int]] = {}  # slots by their size
         self._rows = self._out = (0, 0)  # addresses and sizes of what goes and comes
         self._scratch = 0
-        self._waiting: list[_Job | Asked] = []
+        self._waiting: list[Asked] = []
         self.card, self.fault, self.frames, self.launches = "", "", 0, 0
         self._pool: Pool | None = None
         self._card: Card | None = None
-        self._most = 0  # frames of a launch
         self._thread = threading.Thread(target=self._work, name="card", daemon=True)
         self._thread.start()
         self._ready.wait()
-        self._threads = ThreadPoolExecutor(MOST, "card-frames")
 
     def close(self) -> None:
-        """Ends the threads once what waits is drawn."""
+        """Ends the thread once what waits is drawn."""
         self._queue.put(None)
         self._thread.join(LOST_S)
-        self._threads.shutdown()
 
     @property
     def works(self) -> bool:
@@ -157,34 +133,7 @@ class Lane:
         busy = self._busy_s / max(now_s - self._begun_s, 1e-9)
         return LaneReport(self.card, self.fault, occupied, busy, queue_s, self.frames, self.launches)
 
-    def room(self, memory: Record) -> int:
-        """How many streams more, each with such a ``memory``, the card has memory for while it draws a full launch."""
-        if self._pool is None or self.fault:
-            return 0
-        return max(self._pool.free_bytes - self._most * card_frames.SCRATCH_BYTES, 0) // idle_bytes([memory])
-
-    def each(self, function: Callable[[Value], Found], values: Iterable[Value]) -> Iterator[Found]:
-        """Yields ``function(value)`` for each of ``values``, in order. Where a card computes they run at the same time,
-        so that their frames share a launch."""
-        return self._threads.map(function, values) if self.works else map(function, values)
-
-    def compute(self, name: str, dtype: Any, *given: Any) -> int:
-        """Computes a frame as ``call_with_scratch`` does, on the card or, where that fails, on this thread."""
-        if self.fault or np.dtype(dtype) != np.float32:
-            return call_with_scratch(name, dtype, *given)
-        job = _Job(name, given)
-        self.ask(job)
-        self.wait_for(job)
-        if job.drawn is None:
-            return call_with_scratch(name, dtype, *given)
-        *_, after, out, told = given
-        folded, numbers, arrays = job.drawn
-        out[:], told[:] = folded, numbers
-        for to, found in zip(after.arrays, arrays, strict=True):
-            to[...] = found
-        return 0
-
-    def ask(self, job: _Job | Asked) -> None:
+    def ask(self, job: Asked) -> None:
         """Puts a ``job`` into the queue, for which ``wait_for`` waits."""
         job.since_s = time.monotonic()
         with self._lock:
@@ -193,7 +142,7 @@ class Lane:
                 job.done.set()
         self._queue.put(job)
 
-    def wait_for(self, job: _Job | Asked) -> None:
+    def wait_for(self, job: Asked) -> None:
         """Waits until the frames of ``job`` are drawn, or the card has failed."""
         if not job.done.wait(job.since_s + LOST_S - time.monotonic()):
             self._fail(f"{self.card}: expected a frame within {LOST_S} s, got none")
@@ -288,7 +237,6 @@ class Lane:
         try:
             card = self._card = self._open()
             self._pool = Pool(card, int(self._share * card.free_bytes))
-            self._most = min(MOST, self._pool.size // 2 // card_frames.SCRATCH_BYTES)
             self.card = card.name
         except (DrapeError, OSError) as error:
             self.fault = str(error)
@@ -298,23 +246,20 @@ class Lane:
             while self._gone:
                 self._gone.popleft().give()
             try:
-                if folds := [job for job in jobs if isinstance(job, _Job)]:
-                    self._draw(folds)
-                if asked := [job for job in jobs if not isinstance(job, _Job)]:
-                    self._launch(asked)
+                self._launch(jobs)
             except OSError as error:
                 self._fail(f"{self.card}: {error}")
             except MemoryError:  # these frames are the processor's
-                self._drop(0)
+                pass
             self._busy_s += time.monotonic() - begun_s
             for job in jobs:
                 job.done.set()
 
-    def _gathered(self) -> list[_Job | Asked]:
+    def _gathered(self) -> list[Asked]:
         """The frames of the next launch; none at the end."""
-        jobs: list[_Job | Asked] = []
+        jobs: list[Asked] = []
         until_s = time.monotonic() + GATHERED_S
-        while sum(map(len, jobs)) < max(self._most, 1):
+        while sum(map(len, jobs)) < MOST:
             try:
                 left_s = until_s - time.monotonic()
                 job = self._queue.get() if not jobs else self._queue.get(timeout=max(left_s, 0.0))
@@ -329,51 +274,9 @@ class Lane:
             jobs.append(job)
         return jobs
 
-    def _draw(self, jobs: list[_Job]) -> None:
-        assert self._pool is not None
-        frames, pieces, after = Frames(self._pool), list[CardRecord](), list[CardRecord]()
-        jobs = [job for job in jobs if self.room(job.given[5])]
-        if not jobs:
-            return
-        try:
-            for job in jobs:
-                vertices, past, around, cloth, effort, left, _, _ = job.given
-                pieces.append(self._past(past))  # one by one: the next may find no room
-                for one in (around, effort):
-                    pieces.append(CardRecord(self._pool, one))
-                after.append(CardRecord(self._pool, left, blank=True))
-                frames.add(job.name, vertices, *pieces[-3:-1], self.cloth(cloth), pieces[-1], after[-1])
-            frames.draw(THREADS)
-            for job, (folded, told) in zip(jobs, frames.drawn(), strict=True):
-                job.drawn, left = (folded, told, after[0].arrays()), job.given[5].arrays
-                self._left[id(left)] = left, after.pop(0)  # as long as there is room
-                self._left_bytes += self._left[id(left)][1].flat.size
-            self.frames, self.launches = self.frames + len(jobs), self.launches + 1
-        finally:
-            for piece in (frames, *pieces, *after):
-                piece.give()
-            self._drop(int(KEPT_SHARE * self._pool.size))
-
     def cloth(self, cloth: Any) -> CardRecord:
         """The constants of folds on the card, as long as they live."""
         return self.kept(cloth, "folds", lambda: self.place(cloth, for_card(cloth)))
-
-    def _past(self, past: Record) -> CardRecord:
-        """A frame's ``past`` on the card: that which the lane left there, with the time since then, or a copy."""
-        assert self._pool is not None
-        _, known = self._left.pop(id(past.arrays), (None, None))
-        if known is None:
-            return CardRecord(self._pool, past)
-        self._left_bytes -= known.flat.size
-        known.end(past)
-        return known
-
-    def _drop(self, most: int) -> None:
-        """Forgets what was left longest ago, down to ``most`` bytes."""
-        while self._left_bytes > most:
-            _, (_, record) = self._left.popitem(last=False)
-            self._left_bytes -= record.flat.size
-            record.give()
 
     def _fail(self, fault: str) -> None:
         """Gives the card up, with a sentence; all that wait go on by the processor."""

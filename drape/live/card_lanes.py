@@ -3,32 +3,44 @@ room is."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Any
 
-from drape.live.card_lane import Asked, Found, Lane, LaneReport, Value
+from drape.engine.card import DRIVER, Card, count_cards, kernels
+from drape.live.card_lane import Asked, Lane, LaneReport
+
+
+def open_lanes(driver: str = DRIVER) -> Lanes | None:
+    """Returns the lanes of this machine's cards; the ``fault`` of one says why it cannot be used. None without the
+    extra ``cuda``."""
+    path = kernels()
+    if path is None:
+        return None
+    cards = [partial(Card, path, number=number, driver=driver) for number in range(max(count_cards(driver), 1))]
+    return Lanes([Lane(card) for card in cards])
 
 
 class Lanes:
     """The ``lanes`` of cards, one at least. Streams of a card that fails go on by the others, or by the processor."""
 
     def __init__(self, lanes: Sequence[Lane]) -> None:
-        self._lanes = tuple(lanes)
+        self.lanes = tuple(lanes)
 
     def close(self) -> None:
         """Ends the threads of all lanes."""
-        for lane in self._lanes:
+        for lane in self.lanes:
             lane.close()
 
     @property
     def works(self) -> bool:
         """Whether frames are the cards'."""
-        return any(lane.works for lane in self._lanes)
+        return any(lane.works for lane in self.lanes)
 
     @property
     def roomiest(self) -> Lane:
         """The lane with the most free memory of those that work."""
-        return max(self._lanes, key=lambda lane: (lane.works, lane.free_bytes))
+        return max(self.lanes, key=lambda lane: (lane.works, lane.free_bytes))
 
     def of(self, memories: Iterable[Any]) -> Lane:
         """The lane of a stream: where the first of its ``memories`` that are on a card is, if that works."""
@@ -43,17 +55,9 @@ class Lanes:
         for lane, job in jobs:
             lane.wait_for(job)
 
-    def compute(self, name: str, dtype: Any, *given: Any) -> int:
-        """Does what that of a ``Lane`` does."""
-        return self.roomiest.compute(name, dtype, *given)
-
-    def each(self, function: Callable[[Value], Found], values: Iterable[Value]) -> Iterator[Found]:
-        """Does what that of a ``Lane`` does."""
-        return self.roomiest.each(function, values)
-
     def report(self) -> LaneReport:
         """How the lanes do, together: shares in the mean, the oldest frame that waits, and sums."""
-        told = [lane.report() for lane in self._lanes]
+        told = [lane.report() for lane in self.lanes]
         return LaneReport(
             card=", ".join(one.card for one in told if one.card),
             fault="; ".join(one.fault for one in told if one.fault),

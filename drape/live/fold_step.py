@@ -23,8 +23,6 @@ from drape.live.skin_walks import TouchedSamples
 
 OUTCOME = 7  # numbers of 64 bits that the engine tells of a frame
 
-Compute = Callable[..., int]  # ``call_with_scratch``, or a card's lane
-
 
 @dataclass(frozen=True, eq=False)
 class FoldMemory(FrameMemory):
@@ -179,18 +177,15 @@ def memory_of(time_s: float, after: FoldArrays, turn: int, left: Record) -> Fold
     return memory
 
 
-def framed(
-    call: FoldCall, frame: Frame, effort: FoldEffort, by: Compute | None = None
-) -> tuple[np.ndarray, Any, FoldReport]:
+def framed(call: FoldCall, frame: Frame, effort: FoldEffort) -> tuple[np.ndarray, Any, FoldReport]:
     """Computes ``call`` for ``frame``. Returns the vertices [m] (V, 3), the memory for the next frame, and a report.
 
-    ``by`` is what computes it, the engine by default. Where no fold came out, even without a past, the vertices are the
-    network's.
+    Where no fold came out, even without a past, the vertices are the network's.
     """
     dtype = call.after.arrays[0].dtype
     vertices, around = np.ascontiguousarray(frame.vertices, dtype), frame.around(dtype)
     out, told = np.empty_like(vertices), np.empty(OUTCOME, np.int64)
-    (by or call_with_scratch)(
+    call_with_scratch(
         call.name, dtype, vertices, call.past, Record("Surroundings", around, dtype),
         call.constants, recorded(effort), call.after, out, told,
     )  # fmt: skip

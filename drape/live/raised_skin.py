@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from drape.contact.samples import sample_table
-from drape.engine.calls import call_with_scratch
+from drape.engine.calls import call, call_with_scratch
 from drape.live.fold_constants import LaidCloth
 
 
 def raised(skin: np.ndarray, height: np.ndarray) -> np.ndarray:
     """Returns the sample table (..., S, 8) of ``skin`` (..., S, 8), each sample moved out by its ``height`` [m] (...,
     S) along its normal."""
-    normal = skin[..., 4:7]
-    return np.ascontiguousarray(sample_table(skin[..., :3] + height[..., None] * normal, normal))
+    out, ground = np.empty_like(skin), np.ascontiguousarray(skin)
+    call("raise", skin.dtype, ground, ground.size // 8, np.ascontiguousarray(height, skin.dtype), out)
+    return out
 
 
 def heights_over(vertices: np.ndarray, inner: LaidCloth, own: np.ndarray, skin: np.ndarray) -> np.ndarray:

@@ -27,7 +27,6 @@ from drape.live.coarse_weights import coarse_weights
 from drape.live.eased import FineLevel, Levels, LiftMemory, lift_call
 from drape.live.fold_constants import FoldConstants, LaidCloth, array_bytes, fold_constants, worn_cloth, worn_mesh
 from drape.live.fold_step import (
-    Compute,
     FoldCall,
     FoldEffort,
     FoldMemory,
@@ -86,12 +85,12 @@ class OneLevel:
         return memory.touched.own
 
     def fold(
-        self, memory: Memory | None, frame: Frame, effort: FoldEffort, by: Compute | None = None
+        self, memory: Memory | None, frame: Frame, effort: FoldEffort
     ) -> tuple[np.ndarray, FoldMemory, FoldReport]:
         """Returns the vertices [m] (V, 3) of ``frame`` with their folds, the memory for the next frame, and a report,
         as ``fold_step.fold`` does. A memory that two levels have left counts as none.
         """
-        return framed(self.call(memory, frame.time_s, effort), frame, effort, by)
+        return framed(self.call(memory, frame.time_s, effort), frame, effort)
 
     def call(self, memory: Memory | None, time_s: float, effort: FoldEffort) -> FoldCall:
         """The call of ``fold`` for a frame at ``time_s`` [s]."""
@@ -122,7 +121,7 @@ class TwoLevel:
         return own[self.levels.fine.parent]
 
     def fold(
-        self, memory: Memory | None, frame: Frame, effort: FoldEffort, by: Compute | None = None
+        self, memory: Memory | None, frame: Frame, effort: FoldEffort
     ) -> tuple[np.ndarray, TwoLevelMemory | LiftMemory, FoldReport]:
         """Returns the vertices [m] (V, 3) of ``frame``, the memory for the next frame, and a report.
 
@@ -130,8 +129,8 @@ class TwoLevel:
         fade. A memory that one level has left counts as none.
         """
         if self.begins(memory, effort):
-            return fold_two_level(self, memory, frame, effort, by)
-        return framed(self.call(memory, frame.time_s, effort), frame, effort, by)
+            return fold_two_level(self, memory, frame, effort)
+        return framed(self.call(memory, frame.time_s, effort), frame, effort)
 
     def call(self, memory: Memory | None, time_s: float, effort: FoldEffort) -> FoldCall:
         """Returns the call of ``fold`` for a frame at ``time_s`` [s], of which ``begins`` is false."""
@@ -179,11 +178,7 @@ def _in_blocks(table: np.ndarray, dtype: Any) -> np.ndarray:
 
 
 def fold_two_level(
-    constants: TwoLevel,
-    memory: TwoLevelMemory | LiftMemory | None,
-    frame: Frame,
-    effort: FoldEffort,
-    by: Compute | None = None,
+    constants: TwoLevel, memory: TwoLevelMemory | LiftMemory | None, frame: Frame, effort: FoldEffort
 ) -> tuple[np.ndarray, TwoLevelMemory, FoldReport]:
     """The vertices [m] (V, 3) of ``frame`` with their folds, the memory for the next frame, and a report.
 
@@ -191,7 +186,7 @@ def fold_two_level(
     """
     if isinstance(memory, LiftMemory):
         memory = _unfolded(constants.levels, memory, frame)
-    return framed(two_level_call(constants.levels, memory, frame.time_s), frame, effort, by)
+    return framed(two_level_call(constants.levels, memory, frame.time_s), frame, effort)
 
 
 def two_level_call(levels: Levels, memory: TwoLevelMemory | None, time_s: float) -> FoldCall:

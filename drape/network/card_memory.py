@@ -17,6 +17,7 @@ from drape.live.skin_walks import TouchedSamples
 from drape.live.swing_step import SwingMemory
 from drape.live.two_level import Memory, TwoLevelMemory
 
+KEPT_S = 0.2  # below the pause at which a memory is forgotten
 SWING = "swing"  # the name of its memories, where those of folds have that of the function which made them
 _POINTS = {SWING: ("network", "swung", "speed"), "lift_alone": ("network", "residual")}
 _FOLDED = ("network", "residual", "velocity", "grip")
@@ -78,7 +79,8 @@ class CardMemory:
     """The memory ``name`` of a frame at ``time_s`` [s], in a ``slot`` of a card by its ``layout``.
 
     Folds have a ``turn``; swing has the ``origin`` [m] (3,) of its coordinates, and the ``colliders`` (M, 16) from
-    there.
+    there. ``kept`` is the stream's memory of this frame, or of one up to ``KEPT_S`` before it, as a processor has it: a
+    card that fails takes no more than frames along.
     """
 
     slot: Slot
@@ -88,6 +90,7 @@ class CardMemory:
     turn: int = 0
     origin: np.ndarray | None = None
     colliders: np.ndarray | None = None
+    kept: Any = None
 
     def at(self, time_s: float) -> CardMemory:
         """Returns the same memory at another time [s]."""
@@ -97,12 +100,18 @@ class CardMemory:
         """Whether a frame at ``time_s`` [s] may go on from this one, if it is no cut."""
         return 0.0 <= time_s - self.time_s <= PAUSE_S
 
+    def keeping(self) -> CardMemory:
+        """Returns the same memory with itself ``kept`` where what is kept is too old."""
+        if self.kept is not None and 0.0 <= self.time_s - _time_of(self.kept) < KEPT_S:
+            return self
+        return replace(self, kept=self.fetched)
+
     @cached_property
     def fetched(self) -> Memory | SwingMemory | None:
-        """The memory as a processor has it; None if the card is gone."""
+        """The memory as a processor has it; what is ``kept`` if the card is gone."""
         piece = self.slot.read()
         if piece is None:
-            return None
+            return self.kept
         found = self.layout.views(piece, self.name)
         if self.name == SWING:
             assert self.origin is not None and self.colliders is not None
@@ -114,6 +123,10 @@ class CardMemory:
             self.time_s, found["network"], found["residual"], found["velocity"], touched, found["grip"], self.turn
         )
         return TwoLevelMemory(memory, found["fine"]) if self.name == "fold_two_levels" else memory
+
+
+def _time_of(memory: Any) -> float:
+    return memory.coarse.time_s if isinstance(memory, TwoLevelMemory) else memory.time_s
 
 
 def fetched(memory: Any) -> Any:
@@ -153,4 +166,4 @@ def on_card(lane: Lane, layout: Layout, memory: Any) -> CardMemory | None:
     slot = Slot(lane, layout.size)
     lane.write(slot.address, piece)
     known = (values.get(field, default) for field, default in (("turn", 0), ("origin", None), ("colliders", None)))
-    return CardMemory(slot, layout, name, coarse.time_s, *known)
+    return CardMemory(slot, layout, name, coarse.time_s, *known, kept=memory)

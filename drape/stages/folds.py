@@ -24,7 +24,7 @@ from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport
 from drape.live.raised_skin import heights_over, raised
 from drape.live.skin_walks import TouchedSamples
 from drape.live.two_level import LiftMemory, Memory, OneLevel, TwoLevel, TwoLevelMemory
-from drape.stages.batch import Batch, Layer, PoseInput, Quality, changed, stacked
+from drape.stages.batch import Batch, Layer, Quality, changed, stacked
 from drape.stages.plan import FINE, SKIN, Plan
 from drape.stages.stage import KeptConstants, Stage, StageSetup
 from drape.wire.options import DrapeOptions
@@ -50,7 +50,6 @@ class Folds(Stage):
 
     def __init__(self, setup: StageSetup) -> None:
         super().__init__(setup)
-        self.lane = setup.lane
         self._garments: dict[str, Garment] = {}
         self._constants = KeptConstants[Constants](
             lambda kept: sum(made.nbytes for made in kept) > KEPT_BYTES  # fabrics beside those in use go
@@ -124,7 +123,7 @@ class Folds(Stage):
         effort, safe = self.efforts(plan)
         efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty.tolist()]
         layers, told, lain = list(batch.layers), FoldFigures(len(batch.root)), []
-        felt = _feel_each_other(plan)
+        felt = feel_each_other(plan)
         assert batch.skin is not None
         ground = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
         ceilings = self._ceilings(batch, ground) if felt else [None] * len(layers)
@@ -173,26 +172,16 @@ class Folds(Stage):
         """Layer ``i`` with folds over ``ground`` (F, S, 8) by the frames' ``efforts``, the samples that its places are
         at (F, P), none where layers do not feel each other, the memories of the inputs after it, and a report of each
         frame."""
-        drape, felt = batch.layers[i].vertices, _feel_each_other(batch.plan)
+        drape, felt = batch.layers[i].vertices, feel_each_other(batch.plan)
         assert drape is not None
         folded, own, reports, after = [], [], [], []
-        by, each = (self.lane.compute, self.lane.each) if self.lane else (None, map)
-
-        def follow(given: tuple[tuple[PoseInput, slice], Memory | None]) -> tuple[list[Any], Memory | None]:
-            """The frames of one input, and the memory after them."""
-            (one, rows), memory = given
-            frames = []
+        for (one, rows), memory in zip(batch.rows(), memories, strict=True):
             for number, row in enumerate(range(rows.start, rows.stop)):
                 solid = seen_from(batch.plan.colliders, batch.root[row])
                 frame = Frame(drape[row], ground[row], float(one.times_s[number]), solid)
-                vertices, memory, report = made.fold(memory, frame, efforts[row], by)
-                frames.append((vertices, made.own(memory) if felt else None, report))
-            return frames, memory
-
-        for frames, memory in each(follow, zip(batch.rows(), memories, strict=True)):
-            for vertices, at, report in frames:
+                vertices, memory, report = made.fold(memory, frame, efforts[row])
                 folded.append(vertices)
-                own += [at] if felt else []
+                own += [made.own(memory)] if felt else []
                 reports.append(report)
             after.append(memory)
         at = stacked(own) if felt else np.empty((len(drape), 0), np.int32)
@@ -245,8 +234,8 @@ def check_client_folds(plan: Plan) -> None:
             raise InputError("folds_by", expected=f"for client: {expected}", got=got, cure="Let the server fold.")
 
 
-def _feel_each_other(plan: Plan) -> bool:
-    """Whether the layers of ``plan`` press on each other."""
+def feel_each_other(plan: Plan) -> bool:
+    """Returns whether the layers of ``plan`` press on each other."""
     return bool(plan.options.advanced.cloth_contact) and len(plan.draped) > 1
 
 

@@ -1,4 +1,4 @@
-"""Frames that one call of the engine makes of poses: novelty, network, swing, folds, and coordinates of the message.
+"""Frames that one call of the engine makes of poses: novelty, network, swing, folds, and the message's coordinates.
 
 These stages make the same bits one after the other. What they hand on to each other as objects of Python takes a fifth
 of a T-shirt's frame, most of which is saved here. Their memories are the same too. A card draws such frames of many
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -18,10 +18,10 @@ from drape.inference.packing import check_finite
 from drape.live.fold_step import FoldEffort
 from drape.network.card_frame import draw_by_card
 from drape.network.card_memory import fetched, name_of
-from drape.network.frame import PARTS, Drawn, FrameGarment, Moment, Past, draw
+from drape.network.frame import MOST_LAYERS, PARTS, Drawn, FrameGarment, FrameOutfit, Moment, Past, draw, identity
 from drape.stages.batch import Batch, Layer, changed
 from drape.stages.encode import Encode, coordinate_bits
-from drape.stages.folds import FoldFigures, Folds, read_layers
+from drape.stages.folds import FoldFigures, Folds, feel_each_other, read_layers
 from drape.stages.network import Network, Novelty
 from drape.stages.plan import SKIN, Plan
 from drape.stages.stage import Stage
@@ -51,7 +51,7 @@ class AtOnce(NamedTuple):
 def at_once(plan: Plan) -> AtOnce | None:
     """Returns the stages of ``plan`` that ``drawn`` runs in one call a frame; None if the engine cannot.
 
-    It drapes a single garment, and later stages may read neither jets nor the skin.
+    It drapes up to ``MOST_LAYERS`` garments, and later stages may read neither jets nor the skin.
     """
     if "at_once" not in plan.kept:
         plan.kept["at_once"] = _at_once(plan)
@@ -65,7 +65,7 @@ def _at_once(plan: Plan) -> AtOnce | None:
         return None
     made = AtOnce(novelty, network, swing, folds)  # pyright: ignore[reportArgumentType]
     first, rest = plan.stages[: len(made.stages)], plan.stages[len(made.stages) :]
-    if len(plan.draped) > 1 or list(first) != made.stages:
+    if len(plan.draped) > MOST_LAYERS or len(set(plan.draped_keys)) < len(plan.draped) or list(first) != made.stages:
         return None
     return None if "jets" in plan.needs or any(SKIN in stage.needs(plan) for stage in rest) else made
 
@@ -75,50 +75,76 @@ def drawn(
 ) -> Iterator[Batch] | None:
     """Yields ``batch`` after each frame, the last one with all that ``stages`` make.
 
-    Returns None where the stages must run by themselves: cloth that was lifted alone begins to fold, or the network
-    shares the frames out between threads. ``took`` is called with the name of each stage and its share of the time [s].
+    Returns None where the stages must run by themselves: cloth that was lifted alone begins to fold, layers settle, or
+    the network shares the frames out between threads. ``took`` is called with the name of each stage and its share of
+    the time [s].
     """
-    plan, lane = batch.plan, stages.network.lane
-    worn, (key,) = _worn(plan, stages), plan.draped_keys
-    pasts = [Past(one.memories.get(("swing", key)), one.memories.get(("folds", key))) for one in batch.inputs]
-    by_card = lane if lane is not None and lane.works and worn.folds is not None else None
+    lane, outfit = stages.network.lane, _outfit(batch.plan, stages)
+    pasts = [
+        tuple(Past(memories.get(("swing", key)), memories.get(("folds", key))) for key in batch.plan.draped_keys)
+        for memories in batch.memories
+    ]
+    by_card = lane if lane is not None and lane.works and outfit.folds else None
     if batch.count > 1 and not stages.network.on_one_thread and not by_card:
         return None
-    if by_card is None or worn.effort.steps:  # the first steps after lifts alone are the processor's
-        pasts = [
-            Past(*map(fetched, past)) if by_card is None or name_of(past.folded) == "lift_alone" else past
-            for past in pasts
-        ]
-    if worn.folds is not None and any(worn.folds.begins(past.folded, worn.effort) for past in pasts):
+    if by_card is None or outfit.effort.steps:  # the first steps after lifts alone are the processor's
+        pasts = [tuple(_here(past) if by_card is None or _lifted(past) else past for past in own) for own in pasts]
+    worn = [(garment.folds, past.folded) for own in pasts for garment, past in zip(outfit.garments, own, strict=True)]
+    if any(folds is not None and folds.begins(folded, outfit.effort) for folds, folded in worn):
         return None
-    return _drawn(batch, stages, worn, pasts, by_card, took)
+    settles = outfit.folds and any(folded is None for _, folded in worn)
+    if by_card is None and settles and len(outfit.garments) > 1:  # tens of milliseconds for each layer
+        return None
+    return _drawn(batch, stages, outfit, pasts, by_card, took)
 
 
-def _worn(plan: Plan, stages: AtOnce) -> FrameGarment:
-    """What drapes the garment of ``plan``: made anew where constants are others than in the frame before."""
-    (key,), (fabric,), options = plan.draped_keys, plan.fabrics, plan.options
+def _here(past: Past) -> Past:
+    """What a processor goes on from, from a card if it is there."""
+    return Past(*map(fetched, past))
+
+
+def _lifted(past: Past) -> bool:
+    return name_of(past.folded) == "lift_alone"
+
+
+def _outfit(plan: Plan, stages: AtOnce) -> FrameOutfit:
+    """What drapes the garments of ``plan``: made anew where constants are others than in the frame before."""
+    options = plan.options
     rows = stages.network.rows(plan)
-    swing = None if stages.swing is None else stages.swing.constants(key, fabric)
-    folds = None if stages.folds is None else stages.folds.constants(key, fabric, coarse=options.advanced.coarse)
-    known: FrameGarment | None = plan.kept.get("worn")
-    if known is not None and known.patches is rows.patches and known.swing is swing and known.folds is folds:
+    each = list(zip(plan.draped_keys, plan.fabrics, strict=True))
+    swings = [None if stages.swing is None else stages.swing.constants(*one) for one in each]
+    coarse = options.advanced.coarse
+    folds = [None if stages.folds is None else stages.folds.constants(*one, coarse=coarse) for one in each]
+    known: FrameOutfit | None = plan.kept.get("worn")
+    made_of = [(row.patches, swing, fold) for row, swing, fold in zip(rows, swings, folds, strict=True)]
+    if known is not None and all(
+        worn.patches is row and worn.swing is swing and worn.folds is fold
+        for worn, (row, swing, fold) in zip(known.garments, made_of, strict=True)
+    ):
         return known
     compiled = stages.network.engine.compiled
     assert compiled is not None
-    made = FrameGarment(
-        weights=compiled.weights,
-        passes=compiled.corrections if (passes := options.advanced.passes) is None else passes,
-        patches=rows.patches,
-        tiles=rows.tiles,
-        kept=None if stages.novelty is None else stages.novelty.kept_poses,
-        swing=swing,
-        share=options.knob or 0.0,
-        folds=folds,
-        efforts=(NO_EFFORT, NO_EFFORT) if stages.folds is None else stages.folds.efforts(plan),
-        vertex_count=rows.vertex_count,
-        step_count=_step_count(plan, stages),
-    )
-    plan.kept["worn"] = stages.network.drawn_alike.setdefault(made.identity, made)
+    garments = [
+        FrameGarment(
+            weights=compiled.weights,
+            passes=compiled.corrections if (passes := options.advanced.passes) is None else passes,
+            patches=row.patches,
+            tiles=row.tiles,
+            kept=None if stages.novelty is None else stages.novelty.kept_poses,
+            swing=swing,
+            share=options.knob or 0.0,
+            folds=fold,
+            efforts=(NO_EFFORT, NO_EFFORT) if stages.folds is None else stages.folds.efforts(plan),
+            vertex_count=row.vertex_count,
+            felt=stages.folds is not None and feel_each_other(plan),
+            read=read,
+        )
+        for row, swing, fold, read in zip(rows, swings, folds, read_layers(plan), strict=True)
+    ]
+    alike: Any = stages.network.drawn_alike
+    garments = tuple(alike.setdefault(identity(made), made) for made in garments)
+    made = FrameOutfit(garments, plan.visible, _step_count(plan, stages))
+    plan.kept["worn"] = alike.setdefault(identity(made), made)
     return plan.kept["worn"]
 
 
@@ -134,8 +160,8 @@ def _step_count(plan: Plan, stages: AtOnce) -> int:
 def _drawn(
     batch: Batch,
     stages: AtOnce,
-    worn: FrameGarment,
-    pasts: list[Past],
+    outfit: FrameOutfit,
+    pasts: list[tuple[Past, ...]],
     lane: Lanes | None,
     took: Callable[[str, float], None],
 ) -> Iterator[Batch]:
@@ -143,27 +169,28 @@ def _drawn(
     moments = list(_moments(batch, stages, root))
     begun_s = time.perf_counter()
     if lane is not None:
-        found, vertices, steps = draw_by_card(lane, worn, pasts, moments)
+        found, vertices, steps = draw_by_card(lane, outfit, pasts, moments)
         frames = [_checked(stages, made) for made in found]
         ends = np.cumsum([len(own) for own in moments])
-        pasts = [frames[end - 1].past for end in ends]
+        pasts = [frames[end - 1].pasts for end in ends]
         spent_s = _shares(frames, time.perf_counter() - begun_s)
         yield batch
     else:
-        vertices = np.empty((batch.count, worn.vertex_count, 3), np.float32)
-        steps = np.empty((batch.count, worn.vertex_count if worn.step_count else 0, 3), np.uint16)
+        vertices = np.empty((batch.count, outfit.vertex_count, 3), np.float32)
+        steps = np.empty((batch.count, outfit.shown_count if outfit.step_count else 0, 3), np.uint16)
         for i, own in enumerate(moments):
             for at in own:
                 begun_s, row = time.perf_counter(), len(frames)
-                frames.append(_checked(stages, draw(worn, pasts[i], at, vertices[row], steps[row])))
-                pasts[i] = frames[row].past
+                frames.append(_checked(stages, draw(outfit, pasts[i], at, vertices[row], steps[row])))
+                pasts[i] = frames[row].pasts
                 took_s = _shares(frames[row:], time.perf_counter() - begun_s)
                 spent_s = [spent + own_s for spent, own_s in zip(spent_s, took_s, strict=True)]
                 yield batch
     boxes = [(made.low, made.step) for made in frames]
-    quantised = tuple((own, *box) for own, box in zip(steps, boxes, strict=True)) if worn.step_count else ()
-    batch = changed(batch, root=root, layers=(Layer(vertices),), steps=quantised)
-    yield _told(batch, stages, worn, frames, pasts)
+    quantised = tuple((own, *box) for own, box in zip(steps, boxes, strict=True)) if outfit.step_count else ()
+    layers = (Layer(vertices),) if len(outfit.rows) == 1 else tuple(Layer(vertices[:, rows]) for rows in outfit.rows)
+    batch = changed(batch, root=root, layers=layers, steps=quantised)
+    yield _told(batch, stages, outfit, frames, pasts)
     for name, spent in zip(PARTS, spent_s, strict=True):
         if name in [stage.name for stage in stages.stages]:
             took(name, spent)
@@ -194,19 +221,22 @@ def _shares(frames: Sequence[Drawn], took_s: float) -> list[float]:
     return [tick_s * own for own in ticks]
 
 
-def _told(batch: Batch, stages: AtOnce, worn: FrameGarment, frames: list[Drawn], pasts: list[Past]) -> Batch:
+def _told(
+    batch: Batch, stages: AtOnce, outfit: FrameOutfit, frames: list[Drawn], pasts: list[tuple[Past, ...]]
+) -> Batch:
     """``batch`` with what its ``frames`` leave and tell, wrapped around finer cloth where that was draped."""
-    (key,), (sent,), quality, layers = batch.plan.draped_keys, batch.plan.keys, batch.quality, batch.layers
+    plan, quality, layers, told = batch.plan, batch.quality, list(batch.layers), FoldFigures(len(frames))
     if stages.novelty is not None:
         quality = changed(quality, novelty=np.array([made.novelty for made in frames], np.float32))
-    if worn.swing is not None:
-        batch = batch.remember(("swing", key), [past.swung for past in pasts])
-    if stages.folds is not None and worn.folds is not None:
-        batch = batch.remember(("folds", key), [past.folded for past in pasts])
-        told = FoldFigures(len(frames))
-        reports = [made.report for made in frames if made.report is not None]
-        told.add(reports, len(worn.folds.laid.sheet.vertex), seen=batch.plan.visible[0])
-        quality = told.quality(quality)
-        if sent != key and read_layers(batch.plan)[0]:
-            layers = (stages.folds.wrapped(layers[0], batch.plan.scene.layers[0].garment),)
-    return changed(batch, quality=quality, layers=layers)
+    each = zip(plan.draped_keys, plan.keys, outfit.garments, read_layers(plan), strict=True)
+    for i, (key, sent, worn, read) in enumerate(each):
+        if worn.swing is not None:
+            batch = batch.remember(("swing", key), [own[i].swung for own in pasts])
+        if stages.folds is None or worn.folds is None:
+            continue
+        batch = batch.remember(("folds", key), [own[i].folded for own in pasts])
+        reports = [report for made in frames if (report := made.reports[i]) is not None]
+        told.add(reports, len(worn.folds.laid.sheet.vertex), seen=plan.visible[i])
+        if sent != key and read:
+            layers[i] = stages.folds.wrapped(layers[i], plan.scene.layers[i].garment)
+    return changed(batch, quality=told.quality(quality) if outfit.folds else quality, layers=tuple(layers))

@@ -22,7 +22,7 @@ from drape.inference.graph_names import JETS, SKIN
 from drape.inference.packing import Packer, Result, ScenePlan, Shape, check_finite
 from drape.inference.whole_graph import WholeGraph
 from drape.network.bodies import BodyFeed
-from drape.network.frame import FrameGarment
+from drape.network.frame import FrameGarment, FrameOutfit
 from drape.network.novelty import kept_poses, novelty
 from drape.stages.batch import Batch, Jets, Layer, changed, concatenated, stacked
 from drape.stages.plan import Plan
@@ -68,7 +68,7 @@ class Network(Stage):
     def __init__(self, setup: StageSetup) -> None:
         super().__init__(setup)
         self.lane = setup.lane
-        self.drawn_alike = WeakValueDictionary[tuple[Any, ...], FrameGarment]()  # by what is the same in their plans
+        self.drawn_alike = WeakValueDictionary[tuple[Any, ...], FrameGarment | FrameOutfit]()  # by what plans share
         self.packer = WholeGraph(self.engine, self.body) if self.engine.whole else Packer(self.engine, self.body)
         body = setup.body  # not ``self``: a stage in a ring stays until the collector comes, which is seldom
         self._shape = lru_cache(SHAPES_KEPT)(lambda betas: pack_body(body, np.frombuffer(betas, np.float64)))
@@ -136,11 +136,10 @@ class Network(Stage):
         assert feed is not None
         return feed, self._shape(key).root
 
-    def rows(self, plan: Plan) -> GarmentRows:
-        """The constants of the one garment of ``plan`` in the engine."""
+    def rows(self, plan: Plan) -> list[GarmentRows]:
+        """The constants of the garments of ``plan`` in the engine."""
         assert isinstance(self.packer, Packer)
-        (key,) = self._dressed(plan)
-        return self.packer.rows(key)
+        return [self.packer.rows(key) for key in self._dressed(plan)]
 
     def run(self, batch: Batch) -> Batch:
         plan, needs = batch.plan, batch.plan.needs

@@ -41,7 +41,7 @@ class StageSettings(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class StageSetup:
-    """The objects that all stages share. ``make`` calls a function that takes long; a card's ``lane`` draws folds."""
+    """The objects that all stages share. ``make`` calls a function that takes long; a card's ``lane`` draws frames."""
 
     engine: Engine
     body: BodyModel

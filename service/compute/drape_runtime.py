@@ -18,12 +18,11 @@ from drape.avatar.wearer import Wearer, load_wearer
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.contact.skin import keep_skins
-from drape.engine.card import DRIVER, Card, count_cards, kernels
+from drape.engine.card import DRIVER
 from drape.errors import DrapeError, NotFound, did_you_mean
 from drape.inference.engine import Engine
 from drape.inference.onnx_runtime import Device
-from drape.live.card_lane import Lane
-from drape.live.card_lanes import Lanes
+from drape.live.card_lanes import Lanes, open_lanes
 from drape.motion.clip import MotionClip
 from drape.motion.grounding import place_on_ground
 from drape.motion.readers import read_motion
@@ -53,18 +52,14 @@ log = logging.getLogger("drape.service")
 
 
 def open_lane(driver: str = DRIVER) -> Lanes | None:
-    """Returns the lanes of this machine's cards; None without the extra ``cuda``. A card that cannot be used is told in
-    the log."""
-    path = kernels()
-    if path is None:
-        return None
-    lanes = [Lane(partial(Card, path, number=number, driver=driver)) for number in range(max(count_cards(driver), 1))]
-    for lane in lanes:
+    """Returns what ``open_lanes`` does. A card that cannot be used is told in the log."""
+    found = open_lanes(driver)
+    for lane in () if found is None else found.lanes:
         if lane.works:
             log.info("card: frames by %s", lane.card)
         else:
             log.warning("card: %s", lane.fault)
-    return Lanes(lanes)
+    return found
 
 
 class DrapeRuntime(Runtime):

@@ -61,7 +61,7 @@ class Metrics:
         self.push_max = histogram("push_max_meters", "Furthest way of a vertex in the push-out, by frame.", METRES)
         self.jets_left = histogram("jets_left_meters", "What jets lack of the push-out at most, by frame.", METRES)
         # A card that draws folds.
-        self.card_works = gauge("card_works", "Whether the card draws folds; 0 once it has failed.")
+        self.card_works = gauge("card_works", "Whether the card draws frames; 0 once it has failed.")
         self.card_occupied = gauge("card_occupied_share", "Of the card's memory, taken.")
         self.card_queue = gauge("card_queue_seconds", "Age of the oldest frame that waits for the card.")
         self.card_frames = gauge("card_frames", "Frames that the card has drawn.")

@@ -1,4 +1,4 @@
-// The kernels of a card: frames, and folds alone, a group of threads each.
+// The kernel of a card: frames, a group of threads each.
 #include <stddef.h>
 #include <stdint.h>
 
@@ -9,8 +9,6 @@ constexpr int MOST_THREADS = 1024;
 
 extern "C" {
 __device__ uint64_t drape_records_hash = RECORDS_HASH;
-
-__global__ void __launch_bounds__(MOST_THREADS) drape_folds(const FoldTask* tasks) { draw(tasks[blockIdx.x]); }
 
 // There are as many groups as the card holds at once, and scratch for each.
 __global__ void __launch_bounds__(MOST_THREADS) drape_frames(const FrameTask* tasks, int64_t count) {

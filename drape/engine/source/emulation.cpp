@@ -8,11 +8,6 @@ namespace one_lane {  // its templates are others than those of a processor
 #include "exports.hpp"
 #include "tasks_one.hpp"
 
-EXPORT void drape_emulated_folds_f32(const FoldTask* tasks, int64_t count, int64_t threads, int64_t backwards) {
-  const Flushed flushed;
-  group.threads = int(threads), group.backwards = backwards;
-  for (int64_t n = 0; n < count; ++n) draw(tasks[n]);
-}
 EXPORT void drape_emulated_frames_f32(const FrameTask* tasks, int64_t count, int64_t threads, int64_t backwards) {
   const Flushed flushed;
   group.threads = int(threads), group.backwards = backwards;

@@ -12,6 +12,9 @@
     layers::heights_over(vertices, *cloth, own, skin_of(skin, samples, cloth->graph), height, *scratch);               \
     return -scratch->overflowed;                                                                                       \
   }                                                                                                                    \
+  EXPORT void drape_raise_##suffix(const T* ground, int64_t samples, const T* height, T* raised) {                     \
+    layers::raise(ground, samples, height, raised);                                                                    \
+  }                                                                                                                    \
   EXPORT int64_t drape_ceiling_##suffix(const T* vertices, const LaidCloth<T>* cloth, const T* skin, int64_t samples,  \
                                         T* ceiling, Scratch* scratch) {                                                \
     const Flushed flushed;                                                                                             \

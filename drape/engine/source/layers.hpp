@@ -54,7 +54,7 @@ template <class T> INLINE int32_t sample_at(const Skin<T>& skin, int32_t own, in
 }
 
 // Half of the distance [m] along the normal from sample s to skin that faces it, far [m] at most.
-template <class T> T half_way(int64_t s, T far, const Skin<T>& skin, const Grid& grid) {
+template <class T> INLINE T half_way(int64_t s, T far, const Skin<T>& skin, const Grid& grid) {
   const Vector<T> normal = skin.normal_of(s), here = skin.point_of(s);
   const T aside = T(ASIDE * ASIDE) * skin.reach_m2[s];
   T nearest = far + far;
@@ -73,12 +73,35 @@ template <class T> T half_way(int64_t s, T far, const Skin<T>& skin, const Grid&
   return T(0.5) * nearest;
 }
 
+// Lowers the heights [m] (S,) of steep samples: of those that begin higher than CLOSE_M, in their order, there and back.
+// One thread goes along them, for each reads what the one before has left.
+template <class T> DEVICE void lower_steep(const Skin<T>& skin, T* height, Scratch& scratch) {
+  int32_t* high = scratch.take<int32_t>(skin.count);
+  if (scratch.overflowed) return;
+  const int64_t count = collect(skin.count, high, skin.count, [&](int64_t s, int32_t* to, int64_t room) -> int64_t {
+    if (!(height[s] > T(CLOSE_M))) return 0;
+    if (room > 0) *to = int32_t(s);
+    return 1;
+  });
+  for (int64_t turn : each(count ? 1 : 0))
+    for (; turn < 2 * STEEP_TURNS; ++turn)
+      for (int64_t entry = 0; entry < count; ++entry) {
+        const int64_t s = high[turn % 2 == 0 ? entry : count - 1 - entry];
+        for (int n = 0; height[s] > T(CLOSE_M) && n < NEIGHBOURS; ++n) {
+          const int32_t other = skin.neighbour[NEIGHBOURS * s + n];
+          if (!(height[other] > 0)) continue;
+          const Vector<T> apart = point(skin.rest, s) - point(skin.rest, other);
+          height[s] = less<T>(height[s], more<T>(height[other] + T(STEEPEST) * root(dot(apart, apart)), T(CLOSE_M)));
+        }
+      }
+}
+
 // Writes how high [m] (S,) a garment raises each sample of the skin: 0 where no vertex lies over it. Its triangles face
 // outward, its vertices are [m] (V, 3), and each place raises the sample that it is at, own (P,), and that one's
 // neighbours.
 template <class T>
-void heights_over(const T* vertices, const LaidCloth<T>& cloth, const int32_t* own, const Skin<T>& skin, T* height,
-                  Scratch& scratch) {
+DEVICE void heights_over(const T* vertices, const LaidCloth<T>& cloth, const int32_t* own, const Skin<T>& skin,
+                         T* height, Scratch& scratch) {
   const int64_t mark = scratch.used, places = cloth.sheet.vertex.count;
   T *frames = scratch.take<T>(FRAMES * (places / LANES)), *far = scratch.take<T>(skin.count);
   T* x = scratch.take<T>(3 * places);
@@ -86,62 +109,73 @@ void heights_over(const T* vertices, const LaidCloth<T>& cloth, const int32_t* o
   if (scratch.overflowed) return;
   placed(vertices, cloth.sheet.vertex, x);
   surface_frames(x, cloth.sheet, frames);
-  for (int64_t s = 0; s < skin.count; ++s) height[s] = far[s] = 0;
-  for (int64_t v = 0; v < places; ++v) {
+  for (int64_t s : each(skin.count)) height[s] = far[s] = 0;
+  for (int64_t v : each(places)) {
     const Vector<T> lies = lane3(frames + FRAMES * (v / LANES), int(v % LANES)), at = point(x, v);
     for (int n = -1; n < NEIGHBOURS; ++n) {
       const int32_t s = sample_at(skin, own[v], n);
       const Over<T> o = over(at, skin, s);
       if (!(o.up > height[s] && o.aside < skin.reach_m2[s])) continue;
       const T up = less<T>(o.up, T(HIGHEST_M));
-      far[s] = more<T>(far[s], up);
-      height[s] = more<T>(height[s], up * dot(lies, skin.normal_of(s)));
+      raise_to(far + s, up);
+      raise_to(height + s, up * dot(lies, skin.normal_of(s)));
     }
   }
-  for (int64_t s = 0; s < skin.count; ++s)
+  for (int64_t s : each(skin.count))
     height[s] = far[s] > height[s] + T(SPANNED_M) ? more<T>(height[s], half_way(s, far[s], skin, grid)) : far[s];
-  for (int turn = 0; turn < 2 * STEEP_TURNS; ++turn)
-    for (int64_t entry = 0; entry < skin.count; ++entry) {
-      const int64_t s = turn % 2 == 0 ? entry : skin.count - 1 - entry;
-      for (int n = 0; height[s] > T(CLOSE_M) && n < NEIGHBOURS; ++n) {
-        const int32_t other = skin.neighbour[NEIGHBOURS * s + n];
-        if (!(height[other] > 0)) continue;
-        const Vector<T> apart = point(skin.rest, s) - point(skin.rest, other);
-        height[s] = less<T>(height[s], more<T>(height[other] + T(STEEPEST) * root(dot(apart, apart)), T(CLOSE_M)));
-      }
-    }
+  lower_steep(skin, height, scratch);
   scratch.used = mark;
+}
+
+// Writes the samples (S, 8) of a ground, each moved out by its height [m] (S,) along its normal.
+template <class T> DEVICE void raise(const T* ground, int64_t samples, const T* height, T* raised) {
+  for (int64_t s : each(samples)) {
+    const T *from = ground + 8 * s, up[3] = {height[s] * from[4], height[s] * from[5], height[s] * from[6]};
+    T *to = raised + 8 * s, square[3], across[3];
+    for (int i = 0; i < 3; ++i) to[i] = from[i] + up[i], to[4 + i] = from[4 + i];
+    for (int i = 0; i < 3; ++i) square[i] = to[i] * to[i], across[i] = to[i] * to[4 + i];
+    to[3] = square[0] + square[1] + square[2];
+    to[7] = across[0] + across[1] + across[2];
+  }
 }
 
 // Writes the ceiling (S, 5) that a garment with these vertices [m] (V, 3) is over the samples of the skin.
 template <class T>
-void ceiling_over(const T* vertices, const LaidCloth<T>& cloth, const Skin<T>& skin, T* ceiling, Scratch& scratch) {
+DEVICE void ceiling_over(const T* vertices, const LaidCloth<T>& cloth, const Skin<T>& skin, T* ceiling,
+                         Scratch& scratch) {
   const int64_t mark = scratch.used, places = cloth.sheet.vertex.count;
   T *frames = scratch.take<T>(FRAMES * (places / LANES)), *before = scratch.take<T>(CEILING * skin.count);
   T* x = scratch.take<T>(3 * places);
   int32_t* own = scratch.take<int32_t>(places);
+  Lowest<T>* lowest = scratch.take<Lowest<T>>(skin.count);
   if (scratch.overflowed) return;
   placed(vertices, cloth.sheet.vertex, x);
-  for (int64_t p = 0; p < places; ++p) own[p] = cloth.index[p];
+  for (int64_t p : each(places)) own[p] = cloth.index[p];
   follow(x, places, skin, own);
   surface_frames(x, cloth.sheet, frames);
-  for (int64_t i = 0; i < CEILING * skin.count; ++i) ceiling[i] = i % CEILING ? T(0) : T(__builtin_inf());
-  for (int64_t v = 0; v < places; ++v) {
+  for (int64_t s : each(skin.count)) lowest[s].clear(T(COVERS_M));
+  for (int64_t v : each(places)) {
     const Vector<T> lies = lane3(frames + FRAMES * (v / LANES), int(v % LANES)), at = point(x, v);
     for (int n = -1; n < NEIGHBOURS; ++n) {
       const int32_t s = sample_at(skin, own[v], n);
       const Over<T> o = over(at, skin, s);
-      T* to = ceiling + CEILING * s;
       const bool faces_out = dot(lies, skin.normal_of(s)) > 0;  // of a trunk's cloth not over an arm's skin
-      if (faces_out && o.up < less<T>(to[0], T(COVERS_M)) && (n < 0 || o.aside < skin.reach_m2[s])) {
-        to[0] = o.up, to[4] = dot(lies, at);
-        put_point(to + 1, 0, lies);
-      }
+      if (faces_out && (n < 0 || o.aside < skin.reach_m2[s])) lowest[s].offer(o.up, int32_t(v));
     }
   }
+  for (int64_t s : each(skin.count)) {
+    T* to = ceiling + CEILING * s;
+    const int32_t v = lowest[s].who();
+    to[0] = v < 0 ? T(__builtin_inf()) : lowest[s].value();
+    if (v < 0) put_point(to + 1, 0, Vector<T>{}), to[4] = 0;
+    if (v < 0) continue;
+    const Vector<T> lies = lane3(frames + FRAMES * (v / LANES), int(v % LANES));
+    put_point(to + 1, 0, lies);
+    to[4] = dot(lies, point(x, v));
+  }
   for (int fill = 0; fill < FILLS; ++fill) {
-    __builtin_memcpy(before, ceiling, size_t(CEILING * skin.count) * sizeof(T));
-    for (int64_t s = 0; s < skin.count; ++s) {
+    copy(before, ceiling, CEILING * skin.count);
+    for (int64_t s : each(skin.count)) {
       if (before[CEILING * s] < T(__builtin_inf())) continue;
       T total[CEILING] = {};
       int covered = 0;
@@ -163,9 +197,9 @@ void ceiling_over(const T* vertices, const LaidCloth<T>& cloth, const Skin<T>& s
 
 // Writes the way [m] (P, 3) of what is above the planes of the samples that it lies over; whether any is.
 template <class T>
-bool too_high(const T* x, int64_t places, const int32_t* own, const Skin<T>& skin, const T* ceiling, T* down) {
-  bool found = false;
-  for (int64_t v = 0; v < places; ++v) {
+DEVICE bool too_high(const T* x, int64_t places, const int32_t* own, const Skin<T>& skin, const T* ceiling, T* down) {
+  int found = 0;
+  for (int64_t v : each(places)) {
     const Vector<T> at = point(x, v);
     T highest = 0;
     Vector<T> normal = {};
@@ -183,17 +217,18 @@ bool too_high(const T* x, int64_t places, const int32_t* own, const Skin<T>& ski
     }
     const T length = root(dot(normal, normal));
     if (!(highest > 0 && length > 0)) continue;
-    found = true;
+    found = 1;
     const Vector<T> way = scaled(-highest, normal);
     put_point(down, v, Vector<T>{way.x / length, way.y / length, way.z / length});
   }
-  return found;
+  return most_of_all(found);
 }
 
 // Shortens the ways down [m] (P, 3) that end nearer than LEAST_OVER_M to the skin. The skin is the highest of the
 // planes of the samples below: in a hollow, as at the neck, that of one is too low.
-template <class T> void stay_above_skin(const T* x, int64_t places, const int32_t* own, const Skin<T>& skin, T* down) {
-  for (int64_t v = 0; v < places; ++v) {
+template <class T>
+DEVICE void stay_above_skin(const T* x, int64_t places, const int32_t* own, const Skin<T>& skin, T* down) {
+  for (int64_t v : each(places)) {
     const Vector<T> way = point(down, v), at = point(x, v);
     if (way.x == 0 && way.y == 0 && way.z == 0) continue;
     T share = 1;
@@ -208,8 +243,8 @@ template <class T> void stay_above_skin(const T* x, int64_t places, const int32_
 }
 
 // Takes the cloth around along: down [m] (P, 3), in place. A place that moves waits in line for its neighbours to be
-// looked at.
-template <class T> void spread_down(const T* x, const Sheet<T>& sheet, T* down, Scratch& scratch) {
+// looked at. The line has an order, so one thread goes along it.
+template <class T> DEVICE void spread_down(const T* x, const Sheet<T>& sheet, T* down, Scratch& scratch) {
   const int64_t mark = scratch.used, count = sheet.vertex.count;
   T *length = scratch.take<T>(count), *before = scratch.take<T>(3 * count);
   int32_t* line = scratch.take<int32_t>(count);
@@ -219,40 +254,42 @@ template <class T> void spread_down(const T* x, const Sheet<T>& sheet, T* down, 
     for (int64_t row = 2 * sheet.fan_start[v / LANES]; row < 2 * sheet.fan_start[v / LANES + 1]; ++row)
       visit(sheet.fan_other[LANES * row + v % LANES]);
   };
-  int64_t first = 0, last = 0;
-  for (int64_t v = 0; v < count; ++v) {
-    length[v] = root(dot(point(down, v), point(down, v)));
-    waits[v] = length[v] > 0;
-    if (waits[v]) line[last++] = int32_t(v);
+  auto moves = [&](int64_t v, int32_t* to, int64_t room) -> int64_t {
+    if (!(length[v] > 0)) return 0;
+    if (room > 0) *to = int32_t(v);
+    return 1;
+  };
+  for (int64_t v : each(count)) length[v] = root(dot(point(down, v), point(down, v))), waits[v] = length[v] > 0;
+  const int64_t begun = collect(count, line, count, moves);
+  for (int64_t first : each(1)) {
+    int64_t last = begun;
+    for (int64_t waiting = last; waiting > 0; --waiting) {
+      const int64_t v = line[first++ % count];
+      waits[v] = 0;
+      fan(v, [&](int64_t other) {
+        if (!(length[v] > length[other])) return;
+        const Vector<T> way = point(x, v) - point(x, other);
+        const T share = T(1) - root(dot(way, way)) / T(FADE_M);
+        if (!(share * length[v] > length[other] + T(LEAST_WAY_M))) return;
+        length[other] = share * length[v];
+        put_point(down, other, scaled(share, point(down, v)));
+        if (waits[other]) return;
+        line[last++ % count] = int32_t(other), waits[other] = 1;
+        ++waiting;
+      });
+    }
   }
-  for (int64_t waiting = last; waiting > 0; --waiting) {
-    const int64_t v = line[first++ % count];
-    waits[v] = 0;
-    fan(v, [&](int64_t other) {
-      if (!(length[v] > length[other])) return;
-      const Vector<T> way = point(x, v) - point(x, other);
-      const T share = T(1) - root(dot(way, way)) / T(FADE_M);
-      if (!(share * length[v] > length[other] + T(LEAST_WAY_M))) return;
-      length[other] = share * length[v];
-      put_point(down, other, scaled(share, point(down, v)));
-      if (waits[other]) return;
-      line[last++ % count] = int32_t(other), waits[other] = 1;
-      ++waiting;
-    });
-  }
-  int64_t moved = 0;
-  for (int64_t v = 0; v < count; ++v)
-    if (length[v] > 0) line[moved++] = int32_t(v);
-  __builtin_memcpy(before, down, size_t(3 * count) * sizeof(T));
+  const int64_t moved = collect(count, line, count, moves);
+  copy(before, down, 3 * count);
   for (int turn = 0; turn < EVENED; ++turn) {
-    for (int64_t entry = 0; entry < moved; ++entry) {
+    for (int64_t entry : each(moved)) {
       const int64_t v = line[entry];
       Vector<T> total = point(before, v);
       T number = 1;
       fan(v, [&](int64_t other) { total = total + point(before, other), number += T(1); });
       put_point(down, v, Vector<T>{total.x / number, total.y / number, total.z / number});
     }
-    for (int64_t entry = 0; entry < moved; ++entry) put_point(before, line[entry], point(down, line[entry]));
+    for (int64_t entry : each(moved)) put_point(before, line[entry], point(down, line[entry]));
   }
   scratch.used = mark;
 }
@@ -260,20 +297,20 @@ template <class T> void spread_down(const T* x, const Sheet<T>& sheet, T* down, 
 // Writes the vertices [m] (V, 3) of an inner garment after those above a ceiling (S, 5) went below it, with the cloth
 // around; whether any was. own (P,) is the sample that each place is at.
 template <class T>
-bool press(const T* vertices, const LaidCloth<T>& cloth, const int32_t* own, const Skin<T>& ground, const T* ceiling,
-           T* pressed, Scratch& scratch) {
+DEVICE bool press(const T* vertices, const LaidCloth<T>& cloth, const int32_t* own, const Skin<T>& ground,
+                  const T* ceiling, T* pressed, Scratch& scratch) {
   const int64_t mark = scratch.used, places = cloth.sheet.vertex.count;
   T *down = scratch.take<T>(3 * places), *x = scratch.take<T>(3 * places);
   if (scratch.overflowed) return false;
   placed(vertices, cloth.sheet.vertex, x);
-  for (int64_t i = 0; i < 3 * places; ++i) down[i] = 0;
+  for (int64_t i : each(3 * places)) down[i] = 0;
   const bool found = too_high(x, places, own, ground, ceiling, down);
   if (found) {
     spread_down(x, cloth.sheet, down, scratch);
     stay_above_skin(x, places, own, ground, down);
-    for (int64_t i = 0; i < 3 * places; ++i) x[i] += down[i], down[i] = 0;
+    for (int64_t i : each(3 * places)) x[i] += down[i], down[i] = 0;
     too_high(x, places, own, ground, ceiling, down);
-    for (int64_t v = 0; v < cloth.sheet.place.count; ++v)
+    for (int64_t v : each(cloth.sheet.place.count))
       put_point(pressed, v, point(x, cloth.sheet.place[v]) + point(down, cloth.sheet.place[v]));
   }
   scratch.used = mark;

@@ -26,5 +26,13 @@ EXPORT int64_t drape_swing_f32(const float* vertices, int64_t count, const Swing
 FOLDED(fold, FoldConstants)
 FOLDED(fold_two_levels, Levels)
 FOLDED(lift_alone, Levels)
+EXPORT int64_t drape_heights_f32(const float* vertices, const LaidCloth<float>* cloth, const int32_t* own,
+                                 const float* skin, int64_t samples, float* height, Scratch* scratch);
+EXPORT void drape_raise_f32(const float* ground, int64_t samples, const float* height, float* raised);
+EXPORT int64_t drape_ceiling_f32(const float* vertices, const LaidCloth<float>* cloth, const float* skin,
+                                 int64_t samples, float* ceiling, Scratch* scratch);
+EXPORT int64_t drape_press_f32(const float* vertices, const LaidCloth<float>* cloth, const int32_t* own,
+                               const float* ground, int64_t samples, const float* ceiling, float* pressed,
+                               Scratch* scratch);
 EXPORT void drape_quantise_f32(const float* positions, int64_t vertices, double count, uint16_t* steps, float* box);
 #endif

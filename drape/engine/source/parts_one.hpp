@@ -2,6 +2,7 @@
 #pragma once
 #include "body.hpp"
 #include "eased.hpp"
+#include "layers.hpp"
 #include "network.hpp"
 #include "quantise.hpp"
 #include "swing.hpp"
@@ -41,6 +42,22 @@ FOLDED(fold, fold_one_level, FoldConstants)
 FOLDED(fold_two_levels, fold_two_levels, Levels)
 FOLDED(lift_alone, lift_alone, Levels)
 #undef FOLDED
+INLINE void drape_heights_f32(const float* vertices, const LaidCloth<float>* cloth, const int32_t* own,
+                              const float* skin, int64_t samples, float* height, Scratch* scratch) {
+  layers::heights_over(vertices, *cloth, own, skin_of(skin, samples, cloth->graph), height, *scratch);
+}
+INLINE void drape_raise_f32(const float* ground, int64_t samples, const float* height, float* raised) {
+  layers::raise(ground, samples, height, raised);
+}
+INLINE void drape_ceiling_f32(const float* vertices, const LaidCloth<float>* cloth, const float* skin,
+                              int64_t samples, float* ceiling, Scratch* scratch) {
+  layers::ceiling_over(vertices, *cloth, skin_of(skin, samples, cloth->graph), ceiling, *scratch);
+}
+INLINE void drape_press_f32(const float* vertices, const LaidCloth<float>* cloth, const int32_t* own,
+                            const float* ground, int64_t samples, const float* ceiling, float* pressed,
+                            Scratch* scratch) {
+  layers::press(vertices, *cloth, own, skin_of(ground, samples, cloth->graph), ceiling, pressed, *scratch);
+}
 INLINE void drape_quantise_f32(const float* positions, int64_t vertices, double count, uint16_t* steps, float* box) {
   quantise(positions, vertices, float(count), steps, box);
 }

@@ -47,6 +47,21 @@ template <class N> INLINE N most_of_all(N own) { return own; }
 
 INLINE bool is_first_thread() { return true; }
 
+// Raises a number that is not below zero, which other threads raise as well.
+template <class N> INLINE void raise_to(N* number, N to) { *number = to > *number ? to : *number; }
+
+// The lowest of the values below a limit that threads offer, and who offered it: of equal ones the first.
+template <class N> struct Lowest {
+  N least;
+  int32_t from;
+  INLINE_MEMBER void clear(N limit) { least = limit, from = -1; }
+  INLINE_MEMBER void offer(N value, int32_t who) {
+    if (value < least) least = value, from = who;
+  }
+  INLINE_MEMBER N value() const { return least; }
+  INLINE_MEMBER int32_t who() const { return from; }  // -1: nobody
+};
+
 // The sum of what visit(i) gives for the numbers below a count, in their order; room has place for as many.
 template <class N, class Visit> INLINE N sum_in_order(int64_t count, N*, Visit visit) {
   N sum = 0;

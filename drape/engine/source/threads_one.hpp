@@ -129,6 +129,10 @@ INLINE int32_t* thread_parts() {
 }
 // Adds one to a number that other threads add to as well, and returns what it was.
 INLINE int32_t count_up(int32_t* number) { return atomicAdd(number, 1); }
+INLINE void raise_to(float* number, float to) {
+  if (to > 0) atomicMax((int32_t*)number, __float_as_int(to));
+}
+INLINE void lower_key(uint64_t* key, uint64_t to) { atomicMin((unsigned long long*)key, (unsigned long long)to); }
 #else
 INLINE int thread_count() { return group.threads; }
 INLINE int32_t* thread_parts() {
@@ -136,7 +140,35 @@ INLINE int32_t* thread_parts() {
   return parts;
 }
 INLINE int32_t count_up(int32_t* number) { return (*number)++; }
+INLINE void raise_to(float* number, float to) { *number = to > *number ? to : *number; }
+INLINE void lower_key(uint64_t* key, uint64_t to) { *key = to < *key ? to : *key; }
 #endif
+
+// The lowest of the values below a limit that threads offer, and who offered it: of equal ones the first. A key has the
+// value's bits, turned so that they rise with it, and behind them the number of who offers it, from 1 on.
+template <class N> struct Lowest;
+template <> struct Lowest<float> {
+  uint64_t key;
+  INLINE_MEMBER static uint64_t key_of(float value, int32_t who) {
+    const float plain = value + 0.f;  // there is one zero
+    uint32_t bits;
+    __builtin_memcpy(&bits, &plain, sizeof bits);
+    bits ^= bits >> 31 ? ~0u : 0x80000000u;
+    return uint64_t(bits) << 32 | uint32_t(who + 1);
+  }
+  INLINE_MEMBER void clear(float limit) { key = key_of(limit, -1); }
+  INLINE_MEMBER void offer(float value, int32_t who) {
+    if (value == value) lower_key(&key, key_of(value, who));
+  }
+  INLINE_MEMBER float value() const {
+    uint32_t bits = uint32_t(key >> 32);
+    bits ^= bits >> 31 ? 0x80000000u : ~0u;
+    float found;
+    __builtin_memcpy(&found, &bits, sizeof found);
+    return found;
+  }
+  INLINE_MEMBER int32_t who() const { return int32_t(uint32_t(key)) - 1; }  // -1: nobody
+};
 
 // Collects what visit(i, to, room) finds for the numbers below a count, in their order, and returns how much that is,
 // most at most. visit tells how many it finds, and writes as many of these as there is room for.

@@ -1,5 +1,5 @@
-// A driver of NVIDIA's that has no card: its entry points over this machine's memory. Launches are given to folds and to
-// frames, which tests set to the engine's emulation of threads. A call fails, or stops for a while, on command.
+// A driver of NVIDIA's that has no card: its entry points over this machine's memory. Launches are given to frames,
+// which tests set to the engine's emulation of threads. A call fails, or stops for a while, on command.
 #include <chrono>
 #include <cstdint>
 #include <cstdlib>
@@ -12,7 +12,6 @@ namespace {
 struct State {
   int version = 13000, cards = 1, major = 9, minor = 0;
   uint64_t free_bytes = uint64_t(8) << 30, hash = 0;
-  void (*folds)(uint64_t tasks, int64_t count, int64_t threads, int64_t backwards) = nullptr;
   void (*frames)(uint64_t tasks, int64_t count, int64_t threads, int64_t backwards) = nullptr;
   int64_t backwards = 0, after = 0, launches = 0;
   int code = 0;
@@ -39,9 +38,8 @@ void shim_reset() { state = State(); }
 void shim_set(int version, int cards, int major, uint64_t free_bytes, uint64_t hash) {
   state.version = version, state.cards = cards, state.major = major, state.free_bytes = free_bytes, state.hash = hash;
 }
-void shim_draws_by(void (*folds)(uint64_t, int64_t, int64_t, int64_t),
-                   void (*frames)(uint64_t, int64_t, int64_t, int64_t), int64_t backwards) {
-  state.folds = folds, state.frames = frames, state.backwards = backwards;
+void shim_draws_by(void (*frames)(uint64_t, int64_t, int64_t, int64_t), int64_t backwards) {
+  state.frames = frames, state.backwards = backwards;
 }
 // The call of this name returns the code once it has been made so often, after so many seconds.
 void shim_fails(const char* name, int code, int64_t after, double stops_s, int device) {
@@ -82,19 +80,13 @@ int cuModuleGetGlobal_v2(uint64_t* address, size_t* bytes, void*, const char*) {
   *address = uint64_t(&state.hash), *bytes = 8;
   return 0;
 }
-int cuModuleGetFunction(void** function, void*, const char* name) {
-  *function = std::string(name) == "drape_frames" ? (void*)&state.frames : (void*)&state.folds;
-  return 0;
-}
-int cuLaunchKernel(void* function, unsigned count, unsigned, unsigned, unsigned threads, unsigned, unsigned, unsigned, void*,
+int cuModuleGetFunction(void** function, void*, const char*) { *function = &state.frames; return 0; }
+int cuLaunchKernel(void*, unsigned, unsigned, unsigned, unsigned threads, unsigned, unsigned, unsigned, void*,
                    void** given, void**) {
   CALL(cuLaunchKernel)
   const std::lock_guard<std::mutex> alone(emulating);
   ++state.launches;
-  if (function == (void*)&state.frames)
-    state.frames(*(const uint64_t*)given[0], *(const int64_t*)given[1], threads, state.backwards);
-  else
-    state.folds(*(const uint64_t*)given[0], count, threads, state.backwards);
+  state.frames(*(const uint64_t*)given[0], *(const int64_t*)given[1], threads, state.backwards);
   return 0;
 }
 int cuEventCreate(void** event, unsigned) { *event = &state; return 0; }

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from drape.engine.card import Card, build_kernels
-from drape.engine.card_frames import CardRecord, Frames, Pool, idle_bytes
+from drape.engine.card_frames import CardRecord, Flat, Pool, piece_bytes
 from drape.engine.packer import Record
 from drape.errors import Unavailable
-from drape.live.fold_step import empty_arrays, no_past
+from drape.live.fold_step import empty_arrays
 from tests.fixtures.laws import each
 from tests.fixtures.paper_card import SOURCE, driver, fails, paper_card
 
@@ -33,23 +33,13 @@ def test_a_memory_that_went_to_a_card_comes_back_bit_by_bit(rng: np.random.Gener
 def test_idle_streams_cost_what_the_pool_gives_them(rng: np.random.Generator):
     pool, record = Pool(paper_card(), 8 << 20), memory(rng)
     held = [CardRecord(pool, record) for _ in range(10)]
-    assert pool.size - pool.free_bytes == idle_bytes([record], 10)
+    assert pool.size - pool.free_bytes == 10 * piece_bytes(Flat(record).size)
     for one in held[::2] + held[1::2]:
         one.give()
     assert pool.free_bytes == pool.size
     pool.give(pool.take(pool.size))  # in one piece again
     with pytest.raises(MemoryError, match=r"expected \d+ bytes in one piece, got 8388608 in all"):
         pool.take(pool.size + 1)
-
-
-def test_scratch_that_is_too_small_is_told(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator):
-    pool = Pool(paper_card(), 64 << 20)
-    frames, none = Frames(pool), CardRecord(pool, no_past(np.dtype(np.float32)))
-    frames.add("fold", np.zeros((4, 3), np.float32), none, none, none, none, none)
-    scratch = frames._results[0] + 48 + 56
-    pool.card.write(scratch, np.array([0, 0, 0, 1], np.uint64))
-    with pytest.raises(MemoryError, match="of scratch"):
-        frames.drawn()
 
 
 @each(

@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 from drape.engine.card import build_kernels
-from drape.engine.card_frames import Pool
-from tests.drape.engine.test_card import THREADS
+from drape.live import card_lane
 from tests.fixtures.paper_card import paper_card
 
 SCRIPT = Path(__file__).parents[3] / "scripts" / "on_gpu"
@@ -30,8 +29,11 @@ def script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     made = importlib.util.module_from_spec(spec)
     loader.exec_module(made)
     monkeypatch.setattr(made, "TAPE", tmp_path / "tape.npz")
-    monkeypatch.setattr(made, "CASES", (("fast", "tank"),))
-    monkeypatch.setattr(made, "FRAMES", 2)
+    monkeypatch.setattr(made, "CASES", (("fast", "tank"), ("instant", "shorts tank")))
+    for name, value in (("FRAMES", 2), ("STREAMS", (1, 3)), ("THREADS", (256,)), ("ROUNDS", 1)):
+        monkeypatch.setattr(made, name, value)
+    for name in ("GATHERED_S", "MOST", "LOST_S"):  # which recording sets
+        monkeypatch.setattr(card_lane, name, getattr(card_lane, name))
     monkeypatch.setenv("DRAPE_SHIPPED_GARMENTS_DIR", str(tmp_path / "none"))  # it loads those that it draws by itself
     return made
 
@@ -41,16 +43,25 @@ def test_recorded_frames_are_drawn_again(script: ModuleType, capsys: pytest.Capt
     script.record()
     with np.load(script.TAPE) as file:
         tape = dict(file)
-    pool = Pool(paper_card(), 256 << 20)
-    (row,) = script.compared([script.Case(pool, tape, 0)], 2, THREADS)
-    assert (row["tier"], row["garment"], row["frames"]) == ("fast", "tank", 1) and row["off_mm"] == 0.0
-    assert pool.size - pool.free_bytes < 64 << 20  # what frames took came back
+    launches = script.Launches(paper_card(), tape, 1)
+    names = launches.names("compared")
+    assert script.compared(launches, names, 256) == [
+        {"what": "fast/tank", "off_mm": 0.0, "farthest_mm": 0.0},
+        {"what": "instant/shorts tank", "off_mm": 0.0, "farthest_mm": 0.0},
+    ]
+    assert [name.removeprefix("timed/") for name in launches.names("timed")] == [
+        "fast tank/1", "instant shorts tank/1", "mixed/3",
+    ]  # fmt: skip
+    (row,) = launches.timed("timed/mixed/3")
+    assert (row["what"], row["streams"], row["threads"]) == ("mixed", 3, 256) and row["network"] + row["folds"] > 0.5
+    assert (launches.told(launches.place("timed/mixed/3")["out"], 3)[:, -1] == 1).all()
     assert script.without_a_card(tape, ["64 registers"]) == 0
     told = capsys.readouterr().out
-    assert "no card was found; the kernels compile for sm_90: 64 registers" in told and "not measured" in told
-    tape["0/1/folded"] = tape["0/1/folded"] + np.float32(0.001)
-    assert script.compared([script.Case(pool, tape, 0)], 2, THREADS)[0]["off_mm"] > 0.9
-    assert script.judged([{"off_mm": np.nan}]) == 1
+    assert "no card was found; the kernel compiles for sm_90: 64 registers" in told and "not measured" in told
+    tape[f"{names[0]}/vertices"] = tape[f"{names[0]}/vertices"] + np.float32(0.001)
+    assert min(launches.off_mm(names[0], 256)) > 0.9
+    for off_mm, farthest_mm in ((0.0, np.nan), (0.02, 0.02), (0.0, 2.0)):
+        assert script.judged([{"off_mm": off_mm, "farthest_mm": farthest_mm}]) == 1
 
 
 def test_without_what_was_recorded_it_says_so(script: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: Any):
@@ -64,4 +75,4 @@ def test_the_frame_compiles_for_cards_and_fits_a_group_of_1024_threads(tmp_path:
     """A card has 65,536 registers for the threads of a group."""
     told = build_kernels(tmp_path / "card.fatbin")
     registers = [int(found) for found in re.findall(r"Used (\d+) registers", told)]
-    assert len(registers) == 6 and max(registers) <= 64
+    assert len(registers) == 3 and max(registers) <= 64

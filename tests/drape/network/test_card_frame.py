@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from benchmarks.cases import FPS, at_rate
 from benchmarks.served import Stream, plan_of
@@ -15,13 +19,15 @@ from drape.catalog import find_motions
 from drape.engine import card_jobs
 from drape.engine.card import Card
 from drape.engine.card_frames import Pool
+from drape.errors import Unavailable
 from drape.live import card_lane
 from drape.live.card_lane import Lane
 from drape.live.card_lanes import Lanes
+from drape.live.two_level import TwoLevel
 from drape.motion.readers import read_motion
 from drape.network.card_frame import FrameJob, draw_by_card
 from drape.network.card_memory import CardMemory, fetched
-from drape.network.frame import Drawn, FrameGarment, Moment, Past, draw
+from drape.network.frame import Drawn, FrameOutfit, Moment, Past, draw
 from drape.stages import frame
 from drape.stages.network import Network
 from service.compute.drape_runtime import DrapeRuntime
@@ -30,7 +36,7 @@ from tests.fixtures.laws import each
 from tests.fixtures.paper_card import SOURCE, driver, fails, paper_card, turn_threads
 from tests.fixtures.serving import bare_settings
 
-FRAMES = 6
+FRAMES = 12
 
 
 @pytest.fixture(scope="module")
@@ -68,14 +74,16 @@ class Beside:
     """Frames by the engine, and by the emulated card of ``lane`` in both orders of its threads."""
 
     def __init__(self, lane: Lane) -> None:
-        self._lane, self.names = lane, list[str]()
+        self._lane, self.frames, self.names = lane, 0, set[str]()
 
-    def __call__(self, worn: FrameGarment, past: Past, at: Moment, vertices: np.ndarray, steps: np.ndarray) -> Drawn:
-        made = draw(worn, past, at, vertices, steps)
+    def __call__(
+        self, outfit: FrameOutfit, pasts: Sequence[Past], at: Moment, vertices: np.ndarray, steps: np.ndarray
+    ) -> Drawn:
+        made = draw(outfit, pasts, at, vertices, steps)
         assert made is not None
         for backwards in (False, True):
             turn_threads(backwards)
-            job = FrameJob(worn, [past], [[at]])
+            job = FrameJob(outfit, [pasts], [[at]])
             self._lane.ask(job)
             self._lane.wait_for(job)
             assert not self._lane.fault
@@ -83,44 +91,65 @@ class Beside:
             assert isinstance(found, Drawn)
             assert job.steps.tobytes() == steps.tobytes()
             assert job.steps.size or job.vertices.tobytes() == vertices.tobytes()
-            assert (found.report, found.novelty) == (made.report, made.novelty)
+            assert (found.reports, found.novelty) == (made.reports, made.novelty)
             if len(steps):
                 assert (found.low.tobytes(), found.step.tobytes()) == (made.low.tobytes(), made.step.tobytes())
-            for one, other in zip(found.past, made.past, strict=True):
-                assert numbers_of(fetched(one)) == numbers_of(other)
-        self.names.append(getattr(found.past.folded, "name", ""))
+            for card, engine in zip(found.pasts, made.pasts, strict=True):
+                for one, other in zip(card, engine, strict=True):
+                    assert numbers_of(fetched(one)) == numbers_of(other)
+        self.frames += 1
+        self.names |= {getattr(past.folded, "name", "") for past in found.pasts}
         return made
 
 
-@each(
-    case=(
-        ("balanced", "tshirt", 1.0, True, "fold_two_levels"),
-        ("accurate", "tank", 0.0, False, "fold"),
-        ("instant", "dress", 1.0, False, "lift_alone"),
-    )
+CASES = (
+    ("balanced", ["tshirt"], 1.0, True, "fold_two_levels"),
+    ("accurate", ["tank"], 0.0, False, "fold"),
+    ("instant", ["dress"], 1.0, False, "lift_alone"),
+    ("balanced", ["trousers", "tshirt"], 1.0, True, "fold_two_levels"),
+    ("instant", ["tank", "shirt", "circle_skirt"], 1.0, True, "lift_alone"),
 )
+
+
+@each(case=CASES)
 def test_a_frame_of_the_card_is_the_engines(runtime: DrapeRuntime, lane: Lane, monkeypatch: Any, case: Any):
-    """A walk, whose first frame settles."""
-    tier, garment, motion, messages, name = case
+    """A walk, whose first frame settles; cloth that touches itself, the skin and the layer below."""
+    follow(runtime, lane, monkeypatch, case, FRAMES)
+
+
+@pytest.mark.long
+@each(case=CASES)
+def test_so_are_three_hundred(runtime: DrapeRuntime, lane: Lane, monkeypatch: Any, case: Any):
+    follow(runtime, lane, monkeypatch, case, 300)
+
+
+def follow(runtime: DrapeRuntime, lane: Lane, monkeypatch: Any, case: Any, frames: int) -> None:
+    """So many frames of a walk that goes to and fro, each from the engine's memory."""
+    tier, garments, motion, messages, name = case
     beside = Beside(lane)
     monkeypatch.setattr(frame, "draw", beside)
-    plan = plan_of(runtime, [shipped(garment)], messages=messages, tier=tier, fabric="jersey", motion=motion)
+    worn = [shipped(garment) for garment in garments]
+    plan = plan_of(runtime, worn, messages=messages, tier=tier, fabric="jersey", motion=motion)
     stream = Stream(plan, runtime.body.shape_count)
     poses = at_rate(read_motion(find_motions(["walk"])[0]), FPS).poses
-    for number in range(FRAMES):
-        stream.pose(poses[number], number / FPS)
-    assert beside.names == [name] * FRAMES
+    poses = np.concatenate([poses, poses[-2:0:-1]])
+    for number in range(frames):
+        stream.pose(poses[number % len(poses)], number / FPS)
+    alone = len(garments) > 1  # the first frame of an outfit is drawn layer by layer
+    assert (beside.frames, beside.names) == (frames - alone, {name})
 
 
 class Streams:
-    """Two streams of a shirt: one of three frames, and one among colliders of two, with a pause between them."""
+    """Two streams of a top: one of three frames, and one among colliders of two, with a pause between them."""
 
-    def __init__(self, runtime: DrapeRuntime) -> None:
-        plan = plan_of(runtime, [shipped("tank")], tier="fast", fabric="jersey", motion=1.0)
+    def __init__(self, runtime: DrapeRuntime, *garments: str) -> None:
+        worn = [shipped(garment) for garment in garments or ("tank",)]
+        plan = plan_of(runtime, worn, tier="fast", fabric="jersey", motion=1.0)
         stream = Stream(plan, runtime.body.shape_count)
+        self.new = [(Past(None, None),) * len(worn)] * 2
         poses = at_rate(read_motion(find_motions(["walk"])[0]), FPS).poses
         stream.pose(poses[0], 0.0)
-        self.worn: FrameGarment = plan.kept["worn"]
+        self.worn: FrameOutfit = plan.kept["worn"]
         (network,) = (stage for stage in plan.stages if isinstance(stage, Network))
         feed, place = network.posed_by(np.zeros(runtime.body.shape_count))
         box = np.concatenate([[0.0, 0.2, 0.3], np.eye(3).reshape(-1), [0.3, 0.05, 0.05], [0.0]])[None]
@@ -138,30 +167,29 @@ class Streams:
             for own, step_s in zip(self._moments, steps_s, strict=True)
         ]
 
-    def by_engine(self, pasts: Sequence[Past], moments: list[list[Moment]]) -> tuple[list[Drawn], np.ndarray]:
+    def by_engine(self, pasts: Sequence[Sequence[Past]], moments: list[list[Moment]]) -> tuple[list[Drawn], np.ndarray]:
         """The frames and their vertices, by the engine."""
         frames, vertices = list[Drawn](), np.empty((5, self.worn.vertex_count, 3), np.float32)
         for past, own in zip(pasts, moments, strict=True):
             for at in own:
                 made = draw(self.worn, past, at, vertices[len(frames)])
                 assert made is not None
-                past = made.past
+                past = made.pasts
                 frames.append(made)
         return frames, vertices
 
 
-NEW = Past(None, None), Past(None, None)
-
-
 def reports(frames: Sequence[Any]) -> list[Any]:
-    return [made.report for made in frames]
+    return [made.reports[-1] for made in frames]
 
 
-def test_streams_and_clips_of_a_launch_are_the_engines(streams: Streams, lane: Lane):
+@each(garments=(["tank"], ["shorts", "tank"]))
+def test_streams_and_clips_of_a_launch_are_the_engines(runtime: DrapeRuntime, lane: Lane, garments: list[str]):
     """What a launch leaves on the card is what the next goes on from; so is what comes from a processor."""
+    streams = Streams(runtime, *garments)
     moments, later = streams.at(0.0, 1.0), streams.at(0.1, 0.05)
-    wanted, vertices = streams.by_engine(NEW, moments)
-    frames, found, _ = draw_by_card(Lanes([lane]), streams.worn, NEW, moments)
+    wanted, vertices = streams.by_engine(streams.new, moments)
+    frames, found, _ = draw_by_card(Lanes([lane]), streams.worn, streams.new, moments)
     assert found.tobytes() == vertices.tobytes() and (lane.launches, lane.frames) == (1, 5)
     assert reports(frames) == reports(wanted) and [one.settled for one in reports(wanted)] == [
         True,
@@ -171,7 +199,7 @@ def test_streams_and_clips_of_a_launch_are_the_engines(streams: Streams, lane: L
         True,
     ]
     later[1] = [at._replace(time_s=at.time_s + 1.0) for at in later[1]]
-    left, known = ([made.past for made in (own[2], own[4])] for own in (frames, wanted))  # pyright: ignore
+    left, known = ([made.pasts for made in (own[2], own[4])] for own in (frames, wanted))  # pyright: ignore
     again, vertices = streams.by_engine(known, later)
     assert not any(one.settled for one in reports(again))
     for pasts in (left, [known[0], left[1]]):
@@ -183,57 +211,72 @@ def test_frames_that_need_more_scratch_are_the_processors(streams: Streams, lane
     moments = streams.at(0.0, 0.05)
     for room in (card_jobs, card_lane):
         monkeypatch.setattr(room, "FRAME_SCRATCH_BYTES", 1 << 20)
-    frames, found, _ = draw_by_card(Lanes([lane]), streams.worn, NEW, moments)
-    assert found.tobytes() == streams.by_engine(NEW, moments)[1].tobytes() and lane.works and lane.frames == 5
-    assert not any(isinstance(made.past.folded, CardMemory) for made in frames if made)
+    frames, found, _ = draw_by_card(Lanes([lane]), streams.worn, streams.new, moments)
+    assert found.tobytes() == streams.by_engine(streams.new, moments)[1].tobytes() and lane.works and lane.frames == 5
+    assert not any(isinstance(made.pasts[0].folded, CardMemory) for made in frames if made)
 
 
 @each(call=("cuMemcpyHtoD_v2", "cuLaunchKernel", "cuMemcpyDtoH_v2"))  # before, at and after a launch
-def test_streams_outlive_their_card(streams: Streams, lane: Lane, call: str):
-    """What it had of them is gone, so their folds begin anew."""
-    frames, _, _ = draw_by_card(Lanes([lane]), streams.worn, NEW, streams.at(0.0, 0.05))
-    later = streams.at(0.1, 0.05)
-    wanted, vertices = streams.by_engine(NEW, later)
+def test_streams_outlive_their_card(runtime: DrapeRuntime, lane: Lane, call: str):
+    """They go on from what a host has of them, which is up to ``KEPT_S`` older than what the card had."""
+    streams = Streams(runtime)
+    moments, later = streams.at(0.0, 0.05), streams.at(0.1, 0.05)
+    frames, _, _ = draw_by_card(Lanes([lane]), streams.worn, streams.new, moments)
+    known, _ = streams.by_engine(streams.new, moments)
+    wanted, vertices = streams.by_engine([known[2].pasts, known[4].pasts], later)
     fails(call)
     again, found, _ = draw_by_card(
-        Lanes([lane]), streams.worn, [made.past for made in (frames[2], frames[4]) if made], later
+        Lanes([lane]), streams.worn, [made.pasts for made in (frames[2], frames[4]) if made], later
     )
     assert not lane.works and lane.fault == f"Card of paper: {call}: unspecified launch failure"
     assert found.tobytes() == vertices.tobytes() and reports(again) == reports(wanted)
 
 
-def test_what_streams_leave_is_given_back(streams: Streams, lane: Lane):
-    free_bytes = []
+def test_a_host_keeps_what_streams_leave_five_times_a_second(runtime: DrapeRuntime, lane: Lane):
+    streams = Streams(runtime)
+    past, (at, *_), times_s = streams.new[0], streams.at(0.0, 0.05)[0], []
+    for number in range(9):
+        made, _, _ = draw_by_card(Lanes([lane]), streams.worn, [past], [[at._replace(time_s=number * 0.05)]])
+        assert made[0] is not None
+        past = made[0].pasts
+        times_s.append((past[0].swung.kept.time_s, past[0].folded.kept.coarse.time_s))  # pyright: ignore
+    assert_allclose(times_s, np.repeat([[0.0], [0.2], [0.4]], [4, 4, 1], axis=0) * [1, 1])
+    fails("cuMemcpyDtoH_v2")
+    assert fetched(past[0].folded).coarse.time_s == fetched(past[0].swung).time_s == times_s[-1][0]
+
+
+def test_what_streams_leave_is_given_back(runtime: DrapeRuntime, lane: Lane):
+    streams, free_bytes = Streams(runtime), []
     for _ in range(4):
-        draw_by_card(Lanes([lane]), streams.worn, NEW, streams.at(0.0, 0.05))
+        draw_by_card(Lanes([lane]), streams.worn, streams.new, streams.at(0.0, 0.05))
         assert lane._pool is not None
         free_bytes.append(lane._pool.free_bytes)
     assert free_bytes[1] == free_bytes[3]
 
 
-def test_streams_are_placed_by_room_and_stay_where_their_memory_is(streams: Streams, monkeypatch: Any):
-    """Two cards, of which one fails: its stream goes on by the other, anew."""
+def test_streams_are_placed_by_room_and_stay_where_their_memory_is(runtime: DrapeRuntime, monkeypatch: Any):
+    """Two cards, of which one fails: its stream goes on by the other."""
     monkeypatch.setattr(card_lane, "LOST_S", 60.0)
     first = paper_card(cards=2)
     both = [Lane(lambda: first), Lane(lambda: Card(SOURCE, number=1, driver=driver()[0]), share=0.4)]
     lanes = Lanes(both)
     moments, later = streams.at(0.0, 0.05), streams.at(0.1, 0.05)
-    known, _ = streams.by_engine(NEW, moments)
+    known, _ = streams.by_engine(streams.new, moments)
     left = []
     for k in range(2):
-        frames, _, _ = draw_by_card(lanes, streams.worn, NEW[:1], moments[k : k + 1])
+        frames, _, _ = draw_by_card(lanes, streams.worn, streams.new[:1], moments[k : k + 1])
         assert frames[-1] is not None
-        left.append(frames[-1].past)
+        left.append(frames[-1].pasts)
         both[0]._pool.take(900 << 20) if k == 0 else None  # pyright: ignore[reportOptionalMemberAccess]
-    assert [past.folded.slot.lane for past in left] == both
+    assert [past.folded.slot.lane for (past,) in left] == both
     _, found, _ = draw_by_card(lanes, streams.worn, left, later)
-    assert found.tobytes() == streams.by_engine([known[2].past, known[4].past], later)[1].tobytes()
+    assert found.tobytes() == streams.by_engine([known[2].pasts, known[4].pasts], later)[1].tobytes()
     assert [lane.launches for lane in both] == [2, 2] and lanes.report().frames == 10
     fails("cuLaunchKernel", card=1)
     _, found, _ = draw_by_card(lanes, streams.worn, left, later)
-    assert found.tobytes() == streams.by_engine([known[2].past, NEW[1]], later)[1].tobytes()
+    assert found.tobytes() == streams.by_engine([known[2].pasts, known[4].pasts], later)[1].tobytes()
     assert lanes.works and lanes.report().fault.endswith("cuLaunchKernel: unspecified launch failure")
-    draw_by_card(lanes, streams.worn, NEW, later)
+    draw_by_card(lanes, streams.worn, streams.new, later)
     assert [lane.frames for lane in both] == [14, 4]
     lanes.close()
 
@@ -252,8 +295,74 @@ def test_frames_that_find_no_room_are_the_processors(streams: Streams, lane: Lan
 
     with monkeypatch.context() as patch:
         patch.setattr(Pool, "take", runs_out)
-        _, found, _ = draw_by_card(Lanes([lane]), streams.worn, NEW, moments)
-    wanted = streams.by_engine(NEW, moments)[1]
+        _, found, _ = draw_by_card(Lanes([lane]), streams.worn, streams.new, moments)
+    wanted = streams.by_engine(streams.new, moments)[1]
     assert found.tobytes() == wanted.tobytes() and taken[0] > after and (lane.works, lane.launches) == (True, 0)
-    _, found, _ = draw_by_card(Lanes([lane]), streams.worn, NEW, moments)
+    _, found, _ = draw_by_card(Lanes([lane]), streams.worn, streams.new, moments)
     assert found.tobytes() == wanted.tobytes() and lane.launches == 1
+
+
+def test_a_rough_frame_is_the_engines(runtime: DrapeRuntime, lane: Lane, rng: np.random.Generator):
+    """A box before the chest, and cloth that crosses itself in hundreds of places."""
+    streams, beside = Streams(runtime), Beside(lane)
+    (worn,) = streams.worn.garments
+    columns = worn.tiles.columns * rng.uniform(0.6, 1.4, worn.tiles.columns.shape).astype(np.float32)
+    rough = replace(streams.worn, garments=(replace(worn, tiles=replace(worn.tiles, columns=columns)),))
+    moments, past, steps = streams.at(0.0, 1 / FPS)[0][:2], streams.new[0], np.empty((0, 3), np.uint16)
+    free, held = np.empty((2, worn.vertex_count, 3), np.float32)
+    draw(rough, past, moments[0], free)
+    middle = free.mean(axis=0) + np.array([0.0, 0.1, 0.1])
+    box = np.concatenate([middle, np.eye(3).reshape(-1), [0.3, 0.05, 0.05], [0.0]])[None]
+    for number, at in enumerate(moments):
+        past = beside(rough, past, at._replace(colliders=box), held, steps).pasts
+        assert number or np.abs(held - free).max() > 0.005
+
+
+def test_threads_that_race_give_other_numbers(runtime: DrapeRuntime, lane: Lane):
+    """With one colour for all blocks the two orders differ: the emulation sees what a card would do wrong."""
+    streams = Streams(runtime)
+    (worn,) = streams.worn.garments
+    assert isinstance(worn.folds, TwoLevel)
+    levels = worn.folds.levels
+    sheet = levels.fine.sheet._replace(colour_start=np.array([0, len(levels.fine.sheet.fan_start) - 1], np.int32))
+    torn = TwoLevel(replace(levels, fine=levels.fine._replace(sheet=sheet)), worn.folds.laid)
+    for folds, is_same in ((worn.folds, True), (torn, False)):
+        outfit, found = replace(streams.worn, garments=(replace(worn, folds=folds),)), []
+        for backwards in (False, True):
+            turn_threads(backwards)
+            found.append(draw_by_card(Lanes([lane]), outfit, streams.new[:1], [streams.at(0.0, 0.05)[0][:1]])[1])
+        assert np.array_equal(*found) is is_same
+
+
+def test_streams_share_launches_and_the_lane_tells_of_them(runtime: DrapeRuntime, lane: Lane, monkeypatch: Any):
+    monkeypatch.setattr(card_lane, "GATHERED_S", 0.3)  # threads of a busy machine come late
+    streams = Streams(runtime)
+    moments = [own[:1] for own in streams.at(0.0, 0.05)]
+    with ThreadPoolExecutor(2) as threads:
+        draws = threads.map(lambda at: draw_by_card(Lanes([lane]), streams.worn, streams.new[:1], [at])[1], moments)
+        found = np.concatenate(list(draws))
+    told, (wanted, vertices) = lane.report(), streams.by_engine(streams.new, moments)
+    assert found.tobytes() == vertices[: len(wanted)].tobytes()
+    assert told.frames == 2 and told.launches == 1 and told.frames_a_launch == 2
+    assert told.card == "Card of paper" and told.fault == "" and told.queue_s == 0.0
+    assert 0 < told.occupied < 1 and 0 < told.busy <= 1
+
+
+def test_a_card_that_stops_is_given_up_within_a_second(runtime: DrapeRuntime):
+    lane, streams = Lane(paper_card), Streams(runtime)
+    fails("cuLaunchKernel", stops_s=6.0)
+    moments, begun_s = streams.at(0.0, 0.05), time.monotonic()
+    _, found, _ = draw_by_card(Lanes([lane]), streams.worn, streams.new, moments)
+    assert 0.7 < time.monotonic() - begun_s < 3.0
+    assert found.tobytes() == streams.by_engine(streams.new, moments)[1].tobytes()
+    assert "expected a frame within 0.75 s, got none" in lane.fault
+    lane.close()
+
+
+def test_without_a_card_the_lane_says_why():
+    def none() -> Card:
+        raise Unavailable("card", expected="a card", got="none", cure="Go on.")
+
+    lane = Lane(none)
+    assert lane.fault == "card: expected a card, got none. Go on." and not lane.works
+    lane.close()

@@ -21,6 +21,7 @@ from drape.stages.walk import by_stages, run, walk
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.replicas.memory_codec import decode_value, encode_value
+from service.settings import Settings
 from tests.fixtures.poses import smooth_motion
 
 CLOCK = slice(24, 32)  # of a FRAME message: when it was sent
@@ -82,6 +83,35 @@ def test_a_walk_has_the_bits_of_stage_by_stage(runtime: DrapeRuntime, options: d
         memories = (at_once.memories, staged.memories)
 
 
+@pytest.fixture(scope="module")
+def dressed(outfit_settings: Settings) -> Iterator[DrapeRuntime]:
+    made = DrapeRuntime(outfit_settings)
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"tier": "fast"},
+        {"tier": "instant", "hidden": ("coat",), "colliders": [PLANE]},
+        {"tier": "accurate", "hidden": ("tube",)},
+    ],
+)
+def test_layers_do_so_too(dressed: DrapeRuntime, options: dict):
+    """Their first frames, and those after a cut, are drawn stage by stage."""
+    scene = dressed.garments.scene(None, ["tube", "coat"])
+    plan = dressed.plan(scene, DrapeOptions.model_validate(options | {"settle": 1}), messages=True)
+    first, memories, ways = frame_stage.at_once(plan), [({}, {}), ({}, {})], []
+    assert first is not None
+    for number in range(len(TIMES_S)):
+        ways.append(frame_stage.drawn(Batch.of(plan, frames(number, memories[0])), first) is not None)
+        at_once, staged = run(plan, frames(number, memories[0])), list(by_stages(plan, frames(number, memories[1])))[-1]
+        assert told(at_once) == told(staged), number
+        memories = [at_once.memories, staged.memories]
+    assert ways == [False, *[True] * (len(TIMES_S) - 1)]
+
+
 @pytest.mark.parametrize("options", [{"folds": 0, "push_out": False}, {"folds": 1, "safe_folds": 4, "settle": 1}])
 def test_a_clip_does_too_and_others_may_come_between_its_frames(runtime: DrapeRuntime, options: dict):
     plan = plan_of(runtime, messages=False, **options)
@@ -126,7 +156,7 @@ def test_cloth_that_was_lifted_alone_begins_to_fold_stage_by_stage(runtime: Drap
 def test_numbers_that_are_not_finite_are_refused(runtime: DrapeRuntime, way: Callable[..., Iterator[Batch]]):
     plan = plan_of(runtime, tier="fast")
     (network,) = (stage for stage in plan.stages if isinstance(stage, Network))
-    first = network.rows(plan).patches.first
+    first = network.rows(plan)[0].patches.first
     kept = first.copy()
     first[:] = np.nan
     with pytest.raises(ArtifactError, match="expected finite numbers, got NaN or infinity"):

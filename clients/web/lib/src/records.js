@@ -1,7 +1,7 @@
 // Generated from drape/engine/records.py by scripts/sync_wire.py. Do not edit.
 
 // Of the whole table, a part of which follows: fields of records in their order, with their kinds.
-export const LAYOUT = "32e4417126f14765";
+export const LAYOUT = "39e8bb7cac793f67";
 export const RECORDS = {
   Constants: { warp: "number", cross: "number", weft: "number", shear: "number", gap: "number", slack: "number", per_edge: "number", degenerate: "number", least: "number", reach: "number" },
   Creases: { corner: "int32s", stiffness: "numbers", cosine: "numbers", sine: "numbers" },
