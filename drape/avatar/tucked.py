@@ -18,7 +18,7 @@ from drape.avatar.wearer import Wearer
 from drape.geometry import meshes
 from drape.geometry.closest import closest_point, nearest_vertices
 
-BAND_M, BELOW_M = 0.16, 0.06
+BAND_M, BELOW_M = 0.2, 0.06
 OFF_SKIN_M = 0.001  # nearer to the skin than trousers are
 
 
