@@ -217,9 +217,8 @@ def test_frames_that_need_more_scratch_are_the_processors(streams: Streams, lane
 
 
 @each(call=("cuMemcpyHtoD_v2", "cuLaunchKernel", "cuMemcpyDtoH_v2"))  # before, at and after a launch
-def test_streams_outlive_their_card(runtime: DrapeRuntime, lane: Lane, call: str):
+def test_streams_outlive_their_card(streams: Streams, lane: Lane, call: str):
     """They go on from what a host has of them, which is up to ``KEPT_S`` older than what the card had."""
-    streams = Streams(runtime)
     moments, later = streams.at(0.0, 0.05), streams.at(0.1, 0.05)
     frames, _, _ = draw_by_card(Lanes([lane]), streams.worn, streams.new, moments)
     known, _ = streams.by_engine(streams.new, moments)
@@ -232,8 +231,7 @@ def test_streams_outlive_their_card(runtime: DrapeRuntime, lane: Lane, call: str
     assert found.tobytes() == vertices.tobytes() and reports(again) == reports(wanted)
 
 
-def test_a_host_keeps_what_streams_leave_five_times_a_second(runtime: DrapeRuntime, lane: Lane):
-    streams = Streams(runtime)
+def test_a_host_keeps_what_streams_leave_five_times_a_second(streams: Streams, lane: Lane):
     past, (at, *_), times_s = streams.new[0], streams.at(0.0, 0.05)[0], []
     for number in range(9):
         made, _, _ = draw_by_card(Lanes([lane]), streams.worn, [past], [[at._replace(time_s=number * 0.05)]])
@@ -245,8 +243,8 @@ def test_a_host_keeps_what_streams_leave_five_times_a_second(runtime: DrapeRunti
     assert fetched(past[0].folded).coarse.time_s == fetched(past[0].swung).time_s == times_s[-1][0]
 
 
-def test_what_streams_leave_is_given_back(runtime: DrapeRuntime, lane: Lane):
-    streams, free_bytes = Streams(runtime), []
+def test_what_streams_leave_is_given_back(streams: Streams, lane: Lane):
+    free_bytes = []
     for _ in range(4):
         draw_by_card(Lanes([lane]), streams.worn, streams.new, streams.at(0.0, 0.05))
         assert lane._pool is not None
@@ -254,7 +252,7 @@ def test_what_streams_leave_is_given_back(runtime: DrapeRuntime, lane: Lane):
     assert free_bytes[1] == free_bytes[3]
 
 
-def test_streams_are_placed_by_room_and_stay_where_their_memory_is(runtime: DrapeRuntime, monkeypatch: Any):
+def test_streams_are_placed_by_room_and_stay_where_their_memory_is(streams: Streams, monkeypatch: Any):
     """Two cards, of which one fails: its stream goes on by the other."""
     monkeypatch.setattr(card_lane, "LOST_S", 60.0)
     first = paper_card(cards=2)
