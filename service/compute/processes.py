@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import os
 import signal
 import subprocess
 import sys
 import tempfile
 import weakref
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
@@ -63,19 +64,28 @@ def kill_all() -> None:
 
 @asynccontextmanager
 async def running(
-    lane: str, module: str, *arguments: str, write: Callable[[IO[bytes]], Any], folder: Path, quiet: bool = False
+    lane: str,
+    module: str,
+    *arguments: str,
+    write: Callable[[IO[bytes]], Any],
+    folder: Path,
+    quiet: bool = False,
+    waiting: Process | None = None,
 ) -> AsyncIterator[tuple[Process, asyncio.StreamReader]]:
     """Runs ``python -m module`` as a job of ``lane``; yields the process and its standard output. It is killed when the
     block ends.
 
     ``write`` writes its standard input into a file without a name in ``folder``, so that nobody waits until the process
-    reads.
+    reads. ``waiting`` is a process that has been started ahead; it reads its arguments as a line of JSON before that.
     """
-    with tempfile.TemporaryFile(dir=folder) as file:
-        await asyncio.to_thread(write, file)
-        file.flush()
-        os.lseek(file.fileno(), 0, os.SEEK_SET)
-        process = start_process(module, *arguments, stdin=file, quiet=quiet)
+    if waiting is not None and await _handed(waiting, arguments, write):
+        process = waiting
+    else:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            await asyncio.to_thread(write, file)
+            file.flush()
+            os.lseek(file.fileno(), 0, os.SEEK_SET)
+            process = start_process(module, *arguments, stdin=file, quiet=quiet)
     job, reader = WatchedJob(lane, [partial(spent_s, process.pid)]), asyncio.StreamReader()
     JOBS.add(job)
     pipe: asyncio.BaseTransport | None = None
@@ -89,6 +99,26 @@ async def running(
         if pipe is not None:
             pipe.close()
         await ended(process)
+
+
+async def _handed(process: Process, arguments: Sequence[str], write: Callable[[IO[bytes]], Any]) -> bool:
+    """Whether ``process`` took its ``arguments`` and what ``write`` writes; it is killed where it did not."""
+
+    def hand() -> None:
+        with process.stdin as stdin:  # pyright: ignore[reportOptionalContextManager]
+            stdin.write(json.dumps(arguments).encode() + b"\n")
+            write(stdin)
+
+    handed = False
+    try:
+        await asyncio.to_thread(hand)
+        handed = True
+    except BrokenPipeError:
+        pass
+    finally:
+        if not handed:
+            kill(process)
+    return handed
 
 
 async def ended(process: Process) -> None:

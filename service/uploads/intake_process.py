@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from drape.errors import ArtifactError, DrapeError, InputError, TooLarge
-from service.compute.processes import ended, running
+from service.compute.processes import Process, ended, running
 from service.errors import TABLE
 from service.settings import Settings
 from service.uploads.accepted import Kind
@@ -31,13 +31,15 @@ async def run_sandbox(
     begun: Callable[[str], None] = lambda stage: None,
     *,
     kind: Kind | Literal["motion"] = "garment",
+    waiting: Process | None = None,
 ) -> dict[str, Any]:
     """The report of the intake process; raises its refusal, or one for the limit that it ran into.
 
     ``avatar``: of a garment, what it was modelled on; of an avatar, its joints and parts and whether its clothes are
     alive, as JSON; of a motion, which clip.
 
-    ``begun`` is called with each stage as the process begins it.
+    ``begun`` is called with each stage as the process begins it; ``waiting``, a spare process (``uploads.spare``),
+    takes the file in.
     """
     thing = THINGS[kind]
     command = [str(file), "--out", str(out), "--body", settings.body, "--kind", kind]
@@ -51,6 +53,7 @@ async def run_sandbox(
         write=lambda stdin: stdin.write((avatar or "").encode()),
         folder=file.parent,
         quiet=True,
+        waiting=waiting,
     )
     try:
         async with child as (process, said), asyncio.timeout(settings.intake_wall_s):

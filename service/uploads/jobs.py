@@ -25,6 +25,7 @@ from service.uploads import job_records
 from service.uploads.accepted import CANCEL, Accepted, Kind, elsewhere, staging_folder, sync, taken_over, touch
 from service.uploads.intake_process import SHARES, run_sandbox
 from service.uploads.job_records import JobRecord
+from service.uploads.spare import Spare
 
 if TYPE_CHECKING:
     from opentelemetry.trace import Link
@@ -92,10 +93,12 @@ class Uploads:
         self._workers: list[asyncio.Task[None]] = []
         self._begin = asyncio.Event()
         self._begin.set()
+        self._spare = Spare(lambda: not self.waiting)
 
     def start(self) -> None:
         """Goes on with what ended processes had accepted, clears what else they left, and starts the workers."""
         self._go_on(self._taken_over())
+        self._spare.start()
         self._workers = [
             asyncio.create_task(self._work(), name=f"uploads {number}")
             for number in range(self._settings.intake_workers)
@@ -129,6 +132,7 @@ class Uploads:
 
     async def stop(self) -> None:
         """Ends the workers and their processes; what was accepted stays for the next start, nothing else."""
+        self._spare.stop()
         for worker in self._workers:
             worker.cancel()
         await asyncio.gather(*self._workers, return_exceptions=True)
@@ -334,7 +338,8 @@ class Uploads:
         expect("start")
         file = folder / accepted.file
         try:
-            report = await run_sandbox(file, accepted.avatar, out, self._settings, begun, kind=accepted.kind)
+            told, spare = accepted.avatar, self._spare.take()
+            report = await run_sandbox(file, told, out, self._settings, begun, kind=accepted.kind, waiting=spare)
             await asyncio.gather(*beside)
         finally:
             for one in beside:

@@ -18,6 +18,7 @@ import os
 import resource
 import shutil
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -118,7 +119,8 @@ def _say(stage: str) -> None:
     print(json.dumps({"stage": stage}), flush=True)
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Takes one file in, as the ``arguments``, or those of the command line, say; returns the status to end with."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path)
     parser.add_argument("--out", type=Path, required=True)
@@ -126,7 +128,7 @@ def main() -> int:
     parser.add_argument("--kind", choices=tuple(THINGS), default="garment")
     parser.add_argument("--memory-mb", type=int, required=True)
     parser.add_argument("--cpu-s", type=int, required=True)
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     end_with_parent()
     step_back()
     _take_buffers()
