@@ -57,6 +57,7 @@ SAME = {
     ("folds", "drape.live.fold_constants"): "HOLD",
     ("folds", "drape.contact.projection"): "MOVED_M",
     ("quantise", "drape.wire.messages"): "FLAT_M",
+    ("frame_steps", "drape.network.frame"): "MOST_LAYERS",
     ("folds", "tests.reference.folds"): "FIRST_STEP_S",
     ("sweeps", "tests.reference.folds"): "SLIP_M",
     ("whole", "tests.reference.folds"): "CLAMP_M",

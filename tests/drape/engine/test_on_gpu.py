@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.machinery
 import importlib.util
+import json
 import re
 import shutil
 import sys
@@ -29,6 +30,7 @@ def script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     made = importlib.util.module_from_spec(spec)
     loader.exec_module(made)
     monkeypatch.setattr(made, "TAPE", tmp_path / "tape.npz")
+    monkeypatch.setattr(made, "RESULT", tmp_path / "frame_gpu.json")
     monkeypatch.setattr(made, "CASES", (("fast", "tank"), ("instant", "shorts tank")))
     for name, value in (("FRAMES", 2), ("STREAMS", (1, 3)), ("THREADS", (256,)), ("ROUNDS", 1)):
         monkeypatch.setattr(made, name, value)
@@ -58,10 +60,18 @@ def test_recorded_frames_are_drawn_again(script: ModuleType, capsys: pytest.Capt
     assert script.without_a_card(tape, ["64 registers"]) == 0
     told = capsys.readouterr().out
     assert "no card was found; the kernel compiles for sm_90: 64 registers" in told and "not measured" in told
+    kept = json.loads(script.RESULT.read_text())
+    assert kept["card"] is None and kept["times"].startswith("not measured") and len(kept["emulated"]) == 1
     tape[f"{names[0]}/vertices"] = tape[f"{names[0]}/vertices"] + np.float32(0.001)
     assert min(launches.off_mm(names[0], 256)) > 0.9
     for off_mm, farthest_mm in ((0.0, np.nan), (0.02, 0.02), (0.0, 2.0)):
         assert script.judged([{"off_mm": off_mm, "farthest_mm": farthest_mm}]) == 1
+
+
+def test_what_a_card_measured_stays(script: ModuleType):
+    for card, left in ((None, None), ("H200", "H200"), (None, "H200"), ("H100", "H100")):
+        script.keep({"card": card})
+        assert json.loads(script.RESULT.read_text()) == {"bench": "frame_gpu", "card": left}
 
 
 def test_without_what_was_recorded_it_says_so(script: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: Any):

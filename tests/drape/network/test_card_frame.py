@@ -36,7 +36,7 @@ from tests.fixtures.laws import each
 from tests.fixtures.paper_card import SOURCE, driver, fails, paper_card, turn_threads
 from tests.fixtures.serving import bare_settings
 
-FRAMES = 12
+FRAMES = 30
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +104,7 @@ class Beside:
 
 CASES = (
     ("balanced", ["tshirt"], 1.0, True, "fold_two_levels"),
+    ("fast", ["shorts"], 1.0, True, "fold_two_levels"),
     ("accurate", ["tank"], 0.0, False, "fold"),
     ("instant", ["dress"], 1.0, False, "lift_alone"),
     ("balanced", ["trousers", "tshirt"], 1.0, True, "fold_two_levels"),
