@@ -71,7 +71,8 @@ def test_recorded_frames_are_drawn_again(script: ModuleType, capsys: pytest.Capt
 def test_what_a_card_measured_stays(script: ModuleType):
     for card, left in ((None, None), ("H200", "H200"), (None, "H200"), ("H100", "H100")):
         script.keep({"card": card})
-        assert json.loads(script.RESULT.read_text()) == {"bench": "frame_gpu", "card": left}
+        kept = json.loads(script.RESULT.read_text())
+        assert kept == {"bench": "frame_gpu", "command": "scripts/on_gpu", "card": left}
 
 
 def test_without_what_was_recorded_it_says_so(script: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: Any):
