@@ -248,9 +248,9 @@ def test_two_workers_run_two_uploads_and_a_client_that_leaves_cancels_its_own(
 def test_cancelled_uploads_end_and_leave_nothing(uploads: httpx.Client, upload_settings: Settings, tube: Garment):
     running, waiting = (post(uploads, garment_obj(tube), name="tube.obj", avatar="standard").json() for _ in range(2))
     deadline = time.monotonic() + PATIENT_S
-    while uploads.get(f"/jobs/{running['id']}").json()["stage"] != "start":
+    while uploads.get(f"/jobs/{running['id']}").json()["state"] != "running":
         assert time.monotonic() < deadline
-        time.sleep(0.02)
+        time.sleep(0.005)
     assert uploads.get(f"/jobs/{waiting['id']}").json()["state"] == "queued"
     for job in (waiting, running):
         assert uploads.delete(f"/jobs/{job['id']}").status_code == 204
