@@ -4,21 +4,21 @@
     python -m benchmarks.moving --captured $DRAPE_DATA/motions
     python -m benchmarks.moving --garments coat.obj --motions jump.npz --tiers balanced --sheet worst.png
 
-Garments are streamed through a clip by all stages of the service. In two poses (``benchmarks.stills``) the frames just
-before are measured beside the still. ``curvature``, the first figure, is the total Gaussian curvature over the still's:
-cloth folds along lines, what is crumpled has peaks and dimples. Shares of the still's are also ``dihedral``, the RMS
-angle of hinges; ``fine`` and ``middle``, the relief of waves below 2 cm and of 2 to 8 cm; ``hem``, the third difference
-along hems; and ``area``. ``exact`` is that angle over the exact drape's, where the record has one. ``pop`` is the
-change of fine relief from frame to frame over that relief. Of every fifth frame are ``crossings`` and
-``crossings_worst``, pairs of triangles of a garment that cross, for ten thousand of its triangles; ``depth_mm``, how
-deep it is in the skin at the most; ``crossings_free`` and ``depth_free_mm``, the same without cloth within 3 cm of
-skin that crosses itself, as in a squat's lap, where no place is off the skin; ``inside`` and ``inside_worst``,
-vertices more than a centimetre in it, in the mean
-and the worst frame; and ``strain_pct``, the 99.9th percentile of edges. ``jitter`` is the third
-difference in time over the skin's. ``resets`` are frames begun anew. ``ms`` is a frame's processor time. Rows are
-printed with the worst first; ``--sheet`` draws the worst clip of every garment in each tier. Captured motion throws
-limbs about as the shipped clips do not: of ``--captured`` clips the two seconds with most movement are worn by a few
-garments, and have means of their own.
+Garments are streamed through a clip by all stages of the service. Up to two places of it a few frames are measured,
+each beside the still of its own pose (``benchmarks.stills``), and the figures are means of these frames. ``curvature``,
+the first one, is the total Gaussian curvature over the still's: cloth folds along lines, what is crumpled has peaks and
+dimples. ``curvature_last`` is over the still of a place's last pose, as ``curvature`` was in records until November
+2026. Shares of the still's are also ``dihedral``, the RMS angle of hinges; ``fine`` and ``middle``, the relief of waves
+below 2 cm and of 2 to 8 cm; ``hem``, the third difference along hems; and ``area``. ``exact`` is that angle over the
+exact drape's, where the record has one. ``pop`` is the change of fine relief from frame to frame over that relief. Of
+every fifth frame are ``crossings`` and ``crossings_worst``, pairs of triangles of a garment that cross, for ten
+thousand of its triangles; ``depth_mm``, how deep it is in the skin at the most; ``crossings_free`` and
+``depth_free_mm``, the same without cloth within 3 cm of skin that crosses itself, as in a squat's lap, where no place
+is off the skin; ``inside`` and ``inside_worst``, vertices more than a centimetre in it, in the mean and the worst
+frame; and ``strain_pct``, the 99.9th percentile of edges. ``jitter`` is the third difference in time over the skin's.
+``resets`` are frames begun anew. ``ms`` is a frame's processor time. Rows are printed with the worst first; ``--sheet``
+draws the worst clip of every garment in each tier. Captured motion throws limbs about as the shipped clips do not: of
+``--captured`` clips the two seconds with most movement are worn by a few garments, and have means of their own.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from benchmarks.measure.contact_sheet import Picture, draw_sheet
 from benchmarks.measure.depth import depths_mm
 from benchmarks.measure.intersections import intersecting_pairs
 from benchmarks.served import Stream, plan_of
-from benchmarks.stills import Stills, input_of, outfits, posed_at, still_figures, stills_of
+from benchmarks.stills import CAPTURED, Stills, input_of, outfits, posed_at, still_figures, stills_of
 from benchmarks.tables import Row
 from drape.body.assets import load_body
 from drape.cloth.metrics import third_difference_square
@@ -49,17 +49,17 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
 TIERS = NAMES[1:]  # the least has no folds to look at
-BEFORE = (0, 3, 6, 9)  # frames before that of the still whose means count
 EVERY = 5  # frames between two in which crossings and depth are counted
 DEEP_MM = 10.0  # in the skin: no lift hides such a vertex
 OVERLAP_M = 0.03  # from skin that crosses itself
 SHARES = {"curvature": "curvature", "dihedral": "dihedral_deg", "fine": "fine_mm", "middle": "middle_mm",
           "hem": "hem_mm", "area": "area_m2"}  # fmt: skip
 COLUMNS = {
-    "garment": "s", "clip": "s", "tier": "s", **dict.fromkeys(SHARES, ".2f"), "area": ".3f", "exact": ".2f",
-    "pop": ".2f", "crossings": ".1f", "crossings_worst": ("worst", ".0f"), "crossings_free": ("free", ".1f"),
-    "depth_mm": ".1f", "depth_free_mm": ("free", ".1f"), "inside": ".1f",
-    "inside_worst": ("worst", ".0f"), "strain_pct": ".0f", "jitter": ".2f", "resets": ".1f", "ms": ".2f",
+    "garment": "s", "clip": "s", "tier": "s", **dict.fromkeys(SHARES, ".2f"), "area": ".3f",
+    "curvature_last": ("of last", ".2f"), "exact": ".2f", "pop": ".2f", "crossings": ".1f",
+    "crossings_worst": ("worst", ".0f"), "crossings_free": ("free", ".1f"), "depth_mm": ".1f",
+    "depth_free_mm": ("free", ".1f"), "inside": ".1f", "inside_worst": ("worst", ".0f"), "strain_pct": ".0f",
+    "jitter": ".2f", "resets": ".1f", "ms": ".2f",
 }  # fmt: skip
 NAMES = ("garment", "clip", "tier")
 
@@ -109,17 +109,31 @@ def streamed(drapery: DrapeRuntime, garments: list[Garment], clip: CaseClip, tie
     return np.stack(frames), {"resets": resets, "ms": float(np.median(stream.clock.cpu_ms[1:]))}
 
 
-def moving_row(
-    looks: ClothLooks, vertices: np.ndarray, skin: ClipSkin, stills: dict[int, Row], exact: Mapping[int, Row | None]
+def shares_of(
+    looks: ClothLooks, vertices: np.ndarray, stills: Sequence[dict[int, Row]], exact: Mapping[int, Row | None]
 ) -> Row:
-    """Returns the row of a garment that moves through ``vertices`` [m] (F, V, 3): its looks relative to ``stills`` and
-    ``exact`` drapes (rows by frame), crossings, depth in the ``skin``, strain and jitter.
+    """Returns the looks of a garment that moves through ``vertices`` [m] (F, V, 3), each frame's over those of the
+    still of its own pose, in the mean.
+
+    ``stills`` are rows by frame for each place of the clip, ``exact`` those of exact drapes. The mean of what no row
+    has is NaN.
     """
-    shares, angles = [], []
-    for frame, still in stills.items():
-        near = [still_figures(looks, vertices[max(0, frame - before)]) for before in BEFORE]
-        shares.append({name: np.mean([one[key] for one in near]) / still[key] for name, key in SHARES.items()})
-        angles.append((exact.get(frame) or {}).get("dihedral_deg", np.nan) / still["dihedral_deg"])
+    shares: list[Row] = []
+    for near in stills:
+        last = near[max(near)]
+        for frame, still in near.items():
+            now = still_figures(looks, vertices[frame])
+            shares.append({name: now[key] / still[key] for name, key in SHARES.items()})
+            shares[-1]["curvature_last"] = now["curvature"] / last["curvature"]
+            shares[-1]["exact"] = now["dihedral_deg"] / (exact.get(frame) or {}).get("dihedral_deg", np.nan)
+    known = {name: [one[name] for one in shares if np.isfinite(one[name])] for name in shares[0]}
+    return {name: float(np.mean(values)) if values else np.nan for name, values in known.items()}
+
+
+def moving_row(looks: ClothLooks, vertices: np.ndarray, skin: ClipSkin) -> Row:
+    """Returns the figures that need no still, of a garment that moves through ``vertices`` [m] (F, V, 3): crossings,
+    depth in the ``skin``, strain and jitter.
+    """
     seen = np.arange(min(2 * EVERY, len(vertices) - 1), len(vertices), EVERY)
     pairs, body = [intersecting_pairs(vertices[i], looks.faces) for i in seen], skin.clip.body
     middles = [vertices[i][looks.faces[one[:, 0]]].mean(axis=1) for i, one in zip(seen, pairs, strict=True)]
@@ -128,8 +142,7 @@ def moving_row(
     depths = np.stack([depths_mm(vertices[i], skin.vertices[i].astype(float), body.faces) for i in seen])
     inside = (depths > DEEP_MM).sum(axis=1)
     depths_free = depths * np.stack([skin.free(int(i), vertices[i]) for i in seen])
-    return {name: float(np.mean([one[name] for one in shares])) for name in SHARES} | {
-        "exact": float(np.mean([one["dihedral"] / angle for one, angle in zip(shares, angles, strict=True)])),
+    return {
         "pop": looks.pop(vertices[-30:]),
         "crossings": float(crossings.mean()),
         "crossings_worst": float(crossings.max()),
@@ -154,16 +167,18 @@ def scene_rows(
 ) -> list[Row]:
     """The row of every garment that is worn in a clip, in one tier; ``looks`` are those of the garments."""
     clip = skin.clip
-    at_rest = {frame: stills.of(garments, clip, frame) for frame in posed_at(clip)}
+    at_rest = [{frame: stills.of(garments, clip, frame) for frame in near} for near in posed_at(clip)]
     vertices, told = streamed(drapery, garments, clip, tier)
     parts = np.split(vertices, np.cumsum([len(one.place) for one in looks])[:-1], axis=1)
     rows = []
     for number, (one, own_looks, part) in enumerate(zip(garments, looks, parts, strict=True)):
-        beside = {frame: own[number] for frame, own in at_rest.items()}
+        beside = [{frame: own[number] for frame, own in near.items()} for near in at_rest]
         row: Row = {"garment": one.name, "clip": clip.name, "tier": tier}
-        exact = {frame: stills.exact_of(one, clip, frame) for frame in beside if len(garments) == 1}
-        rows.append(row | moving_row(own_looks, part.astype(float), skin, beside, exact) | told)
-        sheet.seen(rows[-1], part[max(beside)], own_looks.faces)
+        exact = {frame: stills.exact_of(one, clip, frame) for near in beside for frame in near if len(garments) == 1}
+        moved = part.astype(float)
+        row |= shares_of(own_looks, moved, beside, exact)
+        rows.append(row | moving_row(own_looks, moved, skin) | told)
+        sheet.seen(rows[-1], part[max(beside[-1])], own_looks.faces)
     return rows
 
 
@@ -209,9 +224,7 @@ def summary(rows: Sequence[Row], tiers: Sequence[str], clips: str = "") -> list[
     *inputs(quick_garments=("tshirt",), quick_motions=("walk",)),
     Option("--tiers", TIERS, "that are served", ("balanced",)),
     Option("--frames", 120, "of a clip at most", 30),
-    Option("--captured", (), "names, files or folders of captured motion"),
-    Option("--captured-garments", ("tshirt", "longsleeve", "trousers"), "that are worn in it", ("tshirt",)),
-    Option("--captured-frames", 60, "of such a clip", 20),
+    *CAPTURED,
     Option("--sheet", "", "a PNG of the worst frames"),
 )
 def main(run: Run) -> None:

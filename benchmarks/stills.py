@@ -2,24 +2,28 @@
 
     python -m benchmarks.stills --save
     python -m benchmarks.stills --garments $DRAPE_DATA/garments --motions $DRAPE_DATA/motions --save
+    python -m benchmarks.stills --captured $DRAPE_DATA/motions/cmu_02_04.npz --save
     python -m benchmarks.stills --motions walk squat --exact --save
 
-A row is a garment's still in one pose, its ``frame`` of the clip. The ``settled`` one is ``accurate`` with eight steps
-in forty rounds; ``--exact`` makes the minimum of energy beside it (``drape.exact``), from there, in minutes.
-``curvature`` is its total Gaussian curvature [rad]. The record keeps rows that it has, so that stills do not move with
-the engine; ``--anew`` makes them again.
+A row is a garment's still in one pose, its ``frame`` of the clip: every pose in which moving cloth is measured has its
+own, since a body that rises out of a squat has others from frame to frame. The ``settled`` one is ``accurate`` with
+eight steps in forty rounds; ``--exact`` makes the minimum of energy beside it (``drape.exact``), from there, in
+minutes. ``curvature`` is its total Gaussian curvature [rad]. The record keeps rows that it has, so that stills do not
+move with the engine, and ``commit`` says by which code each was made; ``--anew`` makes them again.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.cases import FPS, CaseClip, read_case_clips
-from benchmarks.harness import RESULTS_DIR, Benchmark, Option, Run, inputs
+from benchmarks.cases import FPS, CaseClip, lively_clips, read_case_clips
+from benchmarks.harness import RESULTS_DIR, Benchmark, Option, Run, commit_of_tree, inputs
 from benchmarks.measure.cloth_looks import BANDS, ClothLooks
 from benchmarks.served import Stream, plan_of
 from benchmarks.tables import Row
@@ -36,18 +40,25 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
 STEPS, ROUNDS = 8, 40
-PLACES = (0.55, 1.0)  # of a clip whose poses have a still
+PLACES = (0.55, 1.0)  # of a clip near which moving cloth is measured
+BEFORE = (0, 3, 6, 9)  # frames before such a place whose poses have a still
 SETTLED, EXACT = "settled", "exact"
 COLUMNS = {
     "garment": "s", "clip": "s", "frame": "d", "still": "s", "curvature": ".1f", "dihedral_deg": ".1f",
     "area_m2": ".4f", **{f"{band}_mm": ".3f" for band in BANDS}, "hem_mm": ".3f",
 }  # fmt: skip
 KEY = ("garment", "digest", "clip", "frame", "still")
+CAPTURED = (
+    Option("--captured", (), "names, files or folders of captured motion"),
+    Option("--captured-garments", ("tshirt", "longsleeve", "trousers"), "that are worn in it", ("tshirt",)),
+    Option("--captured-frames", 60, "of such a clip", 20),
+)
 
 
-def posed_at(clip: CaseClip) -> list[int]:
-    """The frames of ``clip`` whose poses have a still."""
-    return [round(place * (len(clip.poses) - 1)) for place in PLACES]
+def posed_at(clip: CaseClip) -> list[list[int]]:
+    """Returns the frames of ``clip`` whose poses have a still: for each of ``PLACES`` its own and those before it."""
+    places = [round(place * (len(clip.poses) - 1)) for place in PLACES]
+    return [sorted({max(0, place - before) for before in BEFORE}) for place in places]
 
 
 def stills_of(garment: Garment) -> ClothLooks:
@@ -85,6 +96,10 @@ class Stills:
         }
         self._drapery = drapery
 
+    @cached_property
+    def _commit(self) -> str:
+        return commit_of_tree()
+
     def of(self, garments: list[Garment], clip: CaseClip, frame: int) -> list[Row]:
         """The rows of ``garments``, worn together, in the pose of a ``frame`` of ``clip``."""
         keys = [(one.name, worn_digest(garments, one), clip.name, frame, SETTLED) for one in garments]
@@ -93,7 +108,7 @@ class Stills:
             fine = [fine_garment(one) for one in garments]
             parts = np.split(world, np.cumsum([one.vertex_count for one in fine])[:-1])
             for key, one, vertices in zip(keys, fine, parts, strict=True):
-                self.rows[key] = dict(zip(KEY, key, strict=True)) | still_figures(stills_of(one), vertices)
+                self._keep(key, still_figures(stills_of(one), vertices))
         return [self.rows[key] for key in keys]
 
     def exact_of(self, garment: Garment, clip: CaseClip, frame: int, *, made: bool = False) -> Row | None:
@@ -109,8 +124,11 @@ class Stills:
             sheet = ExactCloth.of(garment, fabric_named(garment.fabric), body, start.betas, rest)
             lain, told = exact(sheet, start.poses[0], x)
             left = {"crossings": told.crossings, "force_share": told.force_share}
-            self.rows[key] = dict(zip(KEY, key, strict=True)) | still_figures(stills_of(fine), lain.x) | left
+            self._keep(key, still_figures(stills_of(fine), lain.x) | left)
         return self.rows.get(key)
+
+    def _keep(self, key: tuple[object, ...], figures: Row) -> None:
+        self.rows[key] = dict(zip(KEY, key, strict=True)) | figures | {"commit": self._commit}
 
     def _settled(self, garments: list[Garment], body: BodyModel, pose: PoseInput) -> Batch:
         settled = Advanced(folds=STEPS, settle=ROUNDS)
@@ -135,21 +153,29 @@ def outfits(names: list[str]) -> Iterator[list[Garment]]:
     COLUMNS,
     *inputs(quick_garments=("tshirt",), quick_motions=("walk",)),
     Option("--frames", 120, "of a clip at most", 30),
+    *CAPTURED,
     Option("--anew", False, "makes those that the record has as well"),
     Option("--exact", False, "makes the exact drape of each garment that is worn alone"),
 )
 def main(run: Run) -> None:
-    """Adds to ``run`` the rows of every garment in two poses of every clip, and those of the record."""
+    """Adds to ``run`` the rows of every garment in the measured poses of every clip, and those of the record."""
     options, body = run.options, load_body()
     stills = Stills(DrapeRuntime(Settings(threads=1, model=options.model)), anew=options.anew)
-    clips = read_case_clips(options, body, FPS)
-    for garments in outfits(options.garments):
+    _make(stills, options.garments, read_case_clips(options, body, FPS), exact_too=options.exact)
+    captured = lively_clips(options.captured, options.captured_frames, body)
+    if captured:
+        _make(stills, options.captured_garments, captured, exact_too=options.exact)
+    run.add(row for _, row in sorted(stills.rows.items()))
+
+
+def _make(stills: Stills, names: Sequence[str], clips: Sequence[CaseClip], *, exact_too: bool) -> None:
+    """Makes what ``stills`` lack of garments of ``names`` over ``clips``."""
+    for garments in outfits(list(names)):
         for clip in clips:
-            for frame in posed_at(clip):
+            for frame in chain(*posed_at(clip)):
                 stills.of(garments, clip, frame)
-                if options.exact and len(garments) == 1:
+                if exact_too and len(garments) == 1:
                     stills.exact_of(garments[0], clip, frame, made=True)
-    run.add(stills.rows.values())
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import pytest
 
 from benchmarks import moving, stills
 from benchmarks.cases import FPS, CaseClip, lively_clips
+from benchmarks.harness import commit_of_tree
 from drape.body.model import BodyModel
 from drape.motion.clip import MotionClip
 from service.compute.drape_runtime import DrapeRuntime
@@ -34,7 +35,7 @@ def clip(body: BodyModel) -> CaseClip:
 def test_a_still_is_made_once_and_then_read(drapery: DrapeRuntime, clip: CaseClip, tmp_path: Path):
     garment, path = shipped("tank"), tmp_path / "stills.json"
     (row,) = stills.Stills(drapery, path).of([garment], clip, 11)
-    assert row["curvature"] > 1.0 and 0.1 < row["area_m2"] < 2.0
+    assert row["curvature"] > 1.0 and 0.1 < row["area_m2"] < 2.0 and row["commit"] == commit_of_tree()
     path.write_text(json.dumps({"rows": [row | {"curvature": -1.0}]}))
     kept = stills.Stills(drapery, path)
     assert kept.of([garment], clip, 11)[0]["curvature"] == -1.0
@@ -54,27 +55,51 @@ def test_an_exact_drape_is_made_when_asked_for(drapery: DrapeRuntime, clip: Case
 def test_crumpled_cloth_has_more_curvature_than_its_still(
     drapery: DrapeRuntime, clip: CaseClip, rng: np.random.Generator
 ):
-    garment, skin = shipped("tank"), moving.ClipSkin(clip)
+    garment, skin = shipped("tank"), _standing(moving.ClipSkin(clip))
     vertices, told = moving.streamed(drapery, [garment], clip, "balanced")
     assert told["resets"] == 0 and vertices.shape == (12, garment.vertex_count, 3)
     looks = stills.stills_of(garment)
     at_rest = {11: stills.still_figures(looks, vertices[11].astype(float))}
-    same = moving.moving_row(looks, np.repeat(vertices[11:], 12, axis=0).astype(float), _standing(skin), at_rest, {})
+    stays = np.repeat(vertices[11:], 12, axis=0).astype(float)
+    same = moving.shares_of(looks, stays, [at_rest], {})
     assert np.isnan(same["exact"])
     assert same["curvature"] == pytest.approx(1.0) and same["area"] == pytest.approx(1.0)
-    shaken = vertices[11].astype(float) + rng.normal(0.0, 0.002, vertices[11].shape)
-    crumpled = moving.moving_row(looks, np.repeat(shaken[None], 12, axis=0), _standing(skin), at_rest, at_rest)
+    shaken = stays + rng.normal(0.0, 0.002, vertices[11].shape)
+    crumpled = moving.shares_of(looks, shaken, [at_rest], at_rest)
     assert crumpled["exact"] == pytest.approx(crumpled["dihedral"])
-    assert crumpled["curvature"] > 2.0 and crumpled["strain_pct"] > same["strain_pct"]
+    assert crumpled["curvature"] > 2.0
+    strains = [moving.moving_row(looks, x, skin)["strain_pct"] for x in (stays, shaken)]
+    assert strains[1] > strains[0]
 
 
-def test_cloth_in_the_body_is_counted(drapery: DrapeRuntime, clip: CaseClip):
+def test_each_frame_is_beside_the_still_of_its_own_pose(
+    drapery: DrapeRuntime, clip: CaseClip, rng: np.random.Generator
+):
+    """Cloth that always lies as its still does, crumpled at first and ever smoother: shares of 1 of its own stills,
+    more of the last one.
+    """
+    looks = stills.stills_of(shipped("tank"))
+    noise = rng.normal(0.0, 0.002, looks.place.shape)
+    vertices = looks.place + np.linspace(1.0, 0.0, 12)[:, None, None] * noise
+    own = [{frame: stills.still_figures(looks, vertices[frame]) for frame in near} for near in stills.posed_at(clip)]
+    row = moving.shares_of(looks, vertices, own, own[-1])
+    for name in (*moving.SHARES, "exact"):
+        assert row[name] == pytest.approx(1.0), name
+    over_last = [still["curvature"] / near[max(near)]["curvature"] for near in own for still in near.values()]
+    assert row["curvature_last"] == pytest.approx(np.mean(over_last)) and row["curvature_last"] > 1.5
+
+
+def test_a_place_of_a_clip_is_measured_at_few_frames_up_to_it(clip: CaseClip, body: BodyModel):
+    assert stills.posed_at(clip) == [[0, 3, 6], [2, 5, 8, 11]]  # no frame is before the first one
+    long = CaseClip.of("long", FPS, np.zeros((120, 24, 3)), body)
+    assert stills.posed_at(long) == [[56, 59, 62, 65], [110, 113, 116, 119]]
+
+
+def test_cloth_in_the_body_is_counted(clip: CaseClip):
     garment, skin = shipped("tank"), _standing(moving.ClipSkin(clip), 0)
     worn, looks = garment.vertices[: garment.vertex_count].astype(float), stills.stills_of(garment)
-    at_rest = {11: stills.still_figures(looks, worn)}
     outside, inside = (
-        moving.moving_row(looks, np.repeat(x[None], 12, axis=0), skin, at_rest, {})
-        for x in (worn, worn - [0.0, 0.0, 0.05])
+        moving.moving_row(looks, np.repeat(x[None], 12, axis=0), skin) for x in (worn, worn - [0.0, 0.0, 0.05])
     )
     assert outside["inside"] == outside["inside_worst"] == 0.0
     assert inside["inside_worst"] >= inside["inside"] > 100.0 and inside["depth_mm"] > moving.DEEP_MM
@@ -97,10 +122,8 @@ def test_captured_clips_have_means_of_their_own(tmp_path: Path):
     poses = np.zeros((12, 24, 3))
     poses[:, 16, 2] = np.linspace(0.0, -0.5, 12)
     MotionClip(poses, np.zeros((12, 3)), FPS, "raised").save(tmp_path / "raised.npz")
-    words = ["--garments", "tank", "--motions", "walk", "--frames", "11", "--tiers", "fast"]
-    record = moving.main(
-        [*words, "--captured", str(tmp_path), "--captured-garments", "tank", "--captured-frames", "11"]
-    )
+    words = ["--garments", "tank", "--motions", "walk", "--frames", "5", "--tiers", "fast"]
+    record = moving.main([*words, "--captured", str(tmp_path), "--captured-garments", "tank", "--captured-frames", "5"])
     (walk,), (raised,) = ([row for row in record["rows"] if row["clip"].startswith(one)] for one in ("walk", "raised@"))
     for means, row in (("means", walk), ("captured", raised)):
         assert record[means][0]["curvature"] == pytest.approx(row["curvature"], rel=1e-5)
