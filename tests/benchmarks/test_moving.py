@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 from benchmarks import moving, stills
 from benchmarks.cases import FPS, CaseClip, lively_clips
-from benchmarks.harness import commit_of_tree
+from benchmarks.harness import RESULTS_DIR, commit_of_tree
 from drape.body.model import BodyModel
 from drape.motion.clip import MotionClip
 from service.compute.drape_runtime import DrapeRuntime
@@ -93,6 +94,19 @@ def test_a_place_of_a_clip_is_measured_at_few_frames_up_to_it(clip: CaseClip, bo
     assert stills.posed_at(clip) == [[0, 3, 6], [2, 5, 8, 11]]  # no frame is before the first one
     long = CaseClip.of("long", FPS, np.zeros((120, 24, 3)), body)
     assert stills.posed_at(long) == [[56, 59, 62, 65], [110, 113, 116, 119]]
+
+
+def test_the_record_has_the_still_of_every_measured_pose(body: BodyModel):
+    """What the record of moving cloth was measured against does not move with the engine."""
+    moved, kept = (json.loads((RESULTS_DIR / f"{name}.json").read_text()) for name in ("moving", "stills"))
+    known = {tuple(row[name] for name in stills.KEY) for row in kept["rows"]}
+    digests = {name: shipped(name).digest[:8] for name in {row["garment"] for row in moved["rows"]}}
+    captured = moving.main.parse([]).captured_frames
+    for garment, name in {(row["garment"], row["clip"]) for row in moved["rows"]}:
+        frames = captured if "@" in name else moved["frames"]
+        clip = CaseClip.of(name, FPS, np.zeros((frames, 24, 3)), body)
+        keys = {(garment, digests[garment], name, frame, stills.SETTLED) for frame in chain(*stills.posed_at(clip))}
+        assert keys <= known, f"{garment} in {name}: python -m benchmarks.stills --save"
 
 
 def test_cloth_in_the_body_is_counted(clip: CaseClip):
