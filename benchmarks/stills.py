@@ -91,9 +91,7 @@ class Stills:
 
     def __init__(self, drapery: DrapeRuntime, path: Path = RESULTS_DIR / "stills.json", *, anew: bool = False) -> None:
         kept = json.loads(path.read_text())["rows"] if path.is_file() and not anew else []
-        self.rows: dict[tuple[object, ...], Row] = {
-            tuple(row.get(name, SETTLED) for name in KEY): {"still": SETTLED} | row for row in kept
-        }
+        self.rows: dict[tuple[object, ...], Row] = {tuple(row[name] for name in KEY): row for row in kept}
         self._drapery = drapery
 
     @cached_property
