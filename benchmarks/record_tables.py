@@ -106,7 +106,8 @@ TRADE = {
 MOVING = {
     "garment": ("garment", "s"), "clip": ("clip", "s"), "tier": ("tier", "s"),
     "curvature": ("curvature over the still's", ".2f"), "dihedral": ("dihedral", ".2f"), "fine": ("fine", ".2f"),
-    "middle": ("middle", ".2f"), "hem": ("hem", ".2f"), "area": ("area", ".3f"), "pop": ("pop", ".2f"),
+    "middle": ("middle", ".2f"), "hem": ("hem", ".2f"), "area": ("area", ".3f"),
+    "curvature_last": ("curvature over that of the last pose", ".2f"), "pop": ("pop", ".2f"),
     "crossings": ("crossings", ".1f"), "crossings_worst": ("worst frame", ".0f"), "depth_mm": ("in skin [mm]", ".1f"),
     "inside": ("vertices 10 mm in it", ".1f"), "inside_worst": ("worst frame", ".0f"),
     "strain_pct": ("strain [%]", ".0f"), "jitter": ("jitter", ".2f"), "resets": ("resets", ".0f"),
