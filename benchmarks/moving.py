@@ -4,21 +4,21 @@
     python -m benchmarks.moving --captured $DRAPE_DATA/motions
     python -m benchmarks.moving --garments coat.obj --motions jump.npz --tiers balanced --sheet worst.png
 
-Garments are streamed through a clip by all stages of the service. Up to two places of it a few frames are measured,
-each beside the still of its own pose (``benchmarks.stills``), and the figures are means of these frames. ``curvature``,
-the first one, is the total Gaussian curvature over the still's: cloth folds along lines, what is crumpled has peaks and
-dimples. ``curvature_last`` is over the still of a place's last pose, as ``curvature`` was in records until November
-2026. Shares of the still's are also ``dihedral``, the RMS angle of hinges; ``fine`` and ``middle``, the relief of waves
-below 2 cm and of 2 to 8 cm; ``hem``, the third difference along hems; and ``area``. ``exact`` is that angle over the
-exact drape's, where the record has one. ``pop`` is the change of fine relief from frame to frame over that relief. Of
-every fifth frame are ``crossings`` and ``crossings_worst``, pairs of triangles of a garment that cross, for ten
-thousand of its triangles; ``depth_mm``, how deep it is in the skin at the most; ``crossings_free`` and
-``depth_free_mm``, the same without cloth within 3 cm of skin that crosses itself, as in a squat's lap, where no place
-is off the skin; ``inside`` and ``inside_worst``, vertices more than a centimetre in it, in the mean and the worst
-frame; and ``strain_pct``, the 99.9th percentile of edges. ``jitter`` is the third difference in time over the skin's.
-``resets`` are frames begun anew. ``ms`` is a frame's processor time. Rows are printed with the worst first; ``--sheet``
-draws the worst clip of every garment in each tier. Captured motion throws limbs about as the shipped clips do not: of
-``--captured`` clips the two seconds with most movement are worn by a few garments, and have means of their own.
+Garments are streamed through a clip by all stages of the service. The last frames before two places of it are measured,
+each beside the still of its own pose (``benchmarks.stills``); figures are their means. ``curvature``, the first one, is
+the total Gaussian curvature over the still's: cloth folds along lines, what is crumpled has peaks and dimples.
+``curvature_last`` is over the still of a place's last pose, as ``curvature`` was in records until November 2026. Shares
+of the still's are also ``dihedral``, the RMS angle of hinges; ``fine`` and ``middle``, the relief of waves below 2 cm
+and of 2 to 8 cm; ``hem``, the third difference along hems; and ``area``. ``exact`` is that angle over the exact
+drape's, where the record has one. ``pop`` is the change of fine relief from frame to frame over that relief. Of every
+fifth frame are ``crossings`` and ``crossings_worst``, pairs of triangles of a garment that cross, for ten thousand of
+its triangles; ``depth_mm``, how deep it is in the skin at the most; ``crossings_free`` and ``depth_free_mm``, the same
+without cloth within 3 cm of skin that crosses itself, as in a squat's lap, where no place is off the skin; ``inside``
+and ``inside_worst``, vertices more than a centimetre in it, in the mean and the worst frame; and ``strain_pct``, the
+99.9th percentile of edges. ``jitter`` is the third difference in time over the skin's. ``resets`` are frames begun
+anew. ``ms`` is a frame's processor time. Rows are printed with the worst first; ``--sheet`` draws the worst clip of
+every garment in each tier. Captured motion throws limbs about as the shipped clips do not: of ``--captured`` clips the
+two seconds with most movement are worn by a few garments, and have means of their own.
 """
 
 from __future__ import annotations
