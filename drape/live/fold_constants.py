@@ -52,16 +52,21 @@ class WornCloth:
     friction: float = 0.0
 
     @property
+    def lies(self) -> np.ndarray:
+        """How much of each vertex (V,) lies on the skin at rest, from ``LEAST`` where it hangs to 1: its share of the
+        leash.
+        """
+        leash = np.maximum(LEASH_N_M3 * self.cloth.vertex_area, np.finfo(float).tiny)  # a vertex may have no area
+        return np.minimum(self.band_n_per_m / leash, 1.0)
+
+    @property
     def springs_n_per_m(self) -> np.ndarray:
         """The springs (V,) that hold vertices in steps of the whole cloth, besides contact's.
 
         These are the leash, and ``HOLD`` of contact's stiffness where cloth lies on the skin: friction holds it there,
         and so does the leash where it is tightened for want of room.
         """
-        contact = contact_n_per_m(self.cloth, self.material)
-        leash = np.maximum(LEASH_N_M3 * self.cloth.vertex_area, np.finfo(float).tiny)  # a vertex may have no area
-        lies = np.minimum(self.band_n_per_m / leash, 1.0)
-        return self.band_n_per_m + HOLD * lies * contact
+        return self.band_n_per_m + HOLD * self.lies * contact_n_per_m(self.cloth, self.material)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,15 @@ from drape.garment.cache import Garment
 from drape.live.clock import Frame
 from drape.live.coarse_weights import coarse_weights
 from drape.live.eased import FineLevel, Levels, LiftMemory, lift_call
-from drape.live.fold_constants import FoldConstants, LaidCloth, array_bytes, fold_constants, worn_cloth, worn_mesh
+from drape.live.fold_constants import (
+    FoldConstants,
+    LaidCloth,
+    WornCloth,
+    array_bytes,
+    fold_constants,
+    worn_cloth,
+    worn_mesh,
+)
 from drape.live.fold_step import (
     FoldCall,
     FoldEffort,
@@ -44,6 +52,7 @@ from drape.live.skin_walks import TouchedSamples
 from drape.live.untangle import tangles_of
 
 LEAST = 700  # vertices of the coarse cloth: a sock is small, and round
+FOLD_EDGES = 2.5  # edges of the coarse cloth in the length over which it bends under its own weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +165,7 @@ def two_level(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -
     vertices = garment.vertices[: garment.vertex_count].astype(np.float64)
     made = coarse_mesh(garment.delivered_rest(), vertices, worn.cloth.faces, least=LEAST)
     cloth, fabric = ClothMesh.of(made.rest, made.faces, len(made.vertex)), fabric or fabric_named(garment.fabric)
-    coarse = FoldConstants.of(worn_mesh(cloth, vertices[made.vertex], body, fabric))
+    coarse = FoldConstants.of(stiffened(worn_mesh(cloth, vertices[made.vertex], body, fabric)))
     fine = sheet(worn.cloth, worn.material, worn.band_n_per_m)
     taken, weight = coarse_weights(vertices, worn.cloth.faces, made.vertex, cloth.mean_edge_m)
     taken, weight = coarse.sheet.place[taken][fine.vertex], weight[fine.vertex]
@@ -170,6 +179,22 @@ def two_level(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -
     )
     levels = Levels(coarse, made.vertex[coarse.sheet.vertex].astype(np.int32), level)
     return TwoLevel(levels, LaidCloth(fine, coarse.graph, worn.index[fine.vertex]))
+
+
+def stiffened(worn: WornCloth) -> WornCloth:
+    """Returns ``worn`` with hinges so stiff that its edges resolve the folds of its own weight, where it hangs.
+
+    Cloth of rigidity B [J] and weight q [N/m^2] bends under its weight over the length (B / q)^(1/3) (Cerda, Mahadevan
+    and Pasini 2004, "The elements of draping", PNAS 101(7)). Where that is less than an edge, as on a coarse mesh of
+    satin, a mesh does not fold but crumple. Here it is ``FOLD_EDGES`` mean edges at least. Where cloth lies on the skin
+    at rest, skin smooths it, and it keeps its own rigidity.
+    """
+    cloth, material = worn.cloth, worn.material
+    weight = material.gravity_m_s2 * material.density_kg_m2
+    times = weight * (FOLD_EDGES * cloth.mean_edge_m) ** 3 / material.bending_j
+    hangs = 1.0 - worn.lies[cloth.hinge_index.reshape(4, -1)].mean(axis=0)
+    weights = cloth.hinge_weight * (1.0 + np.maximum(times - 1.0, 0.0) * hangs)
+    return replace(worn, cloth=replace(cloth, hinge_weight=weights))
 
 
 def _in_blocks(table: np.ndarray, dtype: Any) -> np.ndarray:
