@@ -300,6 +300,12 @@ def test_a_rig_that_does_not_fit_is_refused(changed, match):
         a_rig(**changed)
 
 
+def test_legs_that_hang_on_nothing_are_refused():
+    parents = [-1 if joint in (1, 2) else parent for joint, parent in enumerate(PARENTS[:22])]
+    with pytest.raises(MotionError, match="no joint above both legs"):
+        match_joints([rig_names("vrm")[joint] for joint in BODY], parents, label="rig")
+
+
 def test_motion_that_does_not_fit_the_rig_is_refused():
     rig = a_rig()
     with pytest.raises(MotionError, match="quaternions: expected shape"):

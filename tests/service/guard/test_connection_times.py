@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import http.client
 import json
 import socket
 import time
@@ -222,6 +223,24 @@ def test_an_answer_that_nobody_reads_ends(narrow_address: tuple[str, int]):
     url = f"http://{narrow_address[0]}:{narrow_address[1]}/metrics"
     kept = "an answer that nobody reads was kept"
     wait_until(lambda: 'path="/drape",status="200"' in httpx.get(url).text, missing=kept)
+    one.close()
+
+
+def test_a_reader_that_was_slow_for_a_while_keeps_its_connection(narrow_address: tuple[str, int]):
+    """Its time to read ends when it reads on, and does not run out while it asks for nothing."""
+    poses = json.dumps({"garment": "tube", "poses": [[[0.0] * 3] * 24] * 1000}).encode()
+    one = http.client.HTTPConnection(*narrow_address, timeout=PATIENT_S)
+    one.sock = socket.socket()
+    one.sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    one.sock.connect(narrow_address)
+    one.request("POST", "/drape", poses, {"Content-Type": "application/json"})
+    answer = one.getresponse()
+    first = answer.read(1)
+    time.sleep(0.4 * connection_times.READ_S)
+    assert answer.status == 200 and len(first + answer.read()) > 1000 * 216 * 6  # bytes: numbers of frames
+    time.sleep(2.5 * connection_times.READ_S)
+    one.request("GET", "/livez")
+    assert one.getresponse().status == 200
     one.close()
 
 
