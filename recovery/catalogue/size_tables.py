@@ -86,7 +86,8 @@ def grade_sizes(
 
 def same_triangles(faces: np.ndarray, others: np.ndarray) -> bool:
     """Whether both are the same triangles, in whatever order: a triangulation begins elsewhere on another processor."""
-    return np.array_equal(*(np.unique(np.sort(one, axis=1), axis=0) for one in (faces, others)))
+    ours, theirs = (np.unique(np.sort(one, axis=1), axis=0) for one in (faces, others))
+    return np.array_equal(ours, theirs)
 
 
 def let_designs_fall(
