@@ -28,7 +28,7 @@ from service.uploads.accepted import Accepted, staging_folder, taken_over
 from service.uploads.jobs import MOST_ATTEMPTS
 from tests.fixtures.patience import PATIENT_S, ended_job
 from tests.fixtures.serving import files_in, process, serve, served
-from tests.fixtures.streams import PROTOCOLS, stream_address
+from tests.fixtures.streams import PROTOCOLS, raw_stream, stream_address
 
 
 def test_a_service_that_is_told_to_end_says_so_and_goes_on_later(make_settings: Callable[..., Settings]):
@@ -155,6 +155,11 @@ def test_a_stream_is_refused_while_the_service_drains(make_settings: Callable[..
         headers = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
         headers |= {"Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==", "Sec-WebSocket-Protocol": wire.SUBPROTOCOL}
         response = httpx.get(url + "/stream", headers=headers)
+        app.state.drape.life.draining = False
+        with raw_stream(url) as late:  # it had its handshake before
+            app.state.drape.life.draining = True
+            late.socket.send(json.dumps({"type": "open", "garment": "tube"}))
+            assert json.loads(late.socket.recv(timeout=PATIENT_S))["kind"] == "Draining"
         assert response.status_code == 503 and response.json()["type"] == "urn:drape:Draining"
         assert httpx.get(url + "/readyz").status_code == 503
 

@@ -14,12 +14,15 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
+from starlette.types import Message
 
 from clients.stream import DrapeStream
 from service.app import create_app
+from service.errors import Draining
 from service.guard import connection_times, limits
 from service.guard.connection_times import HEAD_BYTES
 from service.settings import Settings
+from service.watch.probes import Lifecycle
 from tests.fixtures.patience import PATIENT_S, wait_until
 from tests.fixtures.serving import serve, served
 
@@ -192,6 +195,18 @@ def test_bytes_of_all_bodies_together_are_limited_and_come_free(narrow_address: 
         assert half.status_code == 400
     # A file in a raw body goes to disk and is not held.
     assert httpx.post(url + "/garments?name=a.obj", content=b"#" * (size + 1)).status_code == 202
+
+
+def test_a_body_that_still_comes_when_the_service_hurries_is_refused(settings: Settings):
+    life = Lifecycle(stuck_s=60.0)
+    life.hurried = True
+
+    async def silent() -> Message:
+        await asyncio.sleep(PATIENT_S)
+        return {"type": "http.request"}
+
+    with pytest.raises(Draining):
+        asyncio.run(limits._Body(settings, life, upload=True).next(silent))
 
 
 def test_places_are_looked_for_before_a_body_is_read(make_settings: Callable[..., Settings], monkeypatch):

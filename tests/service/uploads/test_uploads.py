@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 import re
+import signal
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -24,6 +25,7 @@ from service.uploads import jobs
 from service.uploads.accepted import Accepted
 from service.uploads.job_records import JobRecord, read_job_record
 from service.uploads.jobs import SHARES, Job, Uploads, warnings_of
+from service.watch.watchdog import JOBS
 from tests.drape.cloth.cloth_shapes import tube as tube_shape
 from tests.drape.garment.garment_files import obj_text
 from tests.drape.geometry.geometry_shapes import box
@@ -227,6 +229,14 @@ def test_two_workers_run_two_uploads_and_a_client_that_leaves_cancels_its_own(
         assert api.get(f"/jobs/{other['id']}").json()["state"] == "running"
         api.delete(f"/jobs/{other['id']}")
         api.close()
+
+
+def test_an_intake_that_is_ended_from_outside_is_told_by_its_status(uploads: httpx.Client, tube: Garment):
+    sent = post(uploads, garment_obj(tube), name="tube.obj", avatar="standard")
+    clocks = wait_until(lambda: next((one.clocks for one in tuple(JOBS) if one.lane == "intake"), None))
+    os.kill(clocks[0].args[0], signal.SIGTERM)  # pyright: ignore[reportAttributeAccessIssue]
+    job = ended_job(uploads, sent)
+    assert job["state"] == "failed" and "a file on which the intake ends with status -15" in job["problem"]["detail"]
 
 
 def test_cancelled_uploads_end_and_leave_nothing(uploads: httpx.Client, upload_settings: Settings, tube: Garment):
