@@ -16,6 +16,7 @@ from drape.stages.tiers import NAMES as TIER_NAMES
 
 Records = Mapping[str, Record]
 DEFAULT_TIER, GARMENT = "balanced", "tshirt"
+SPEED = "docs/records/performance.md"  # from README
 NAMES = {"tshirt": "T-shirt", "dress": "dress", "trousers": "trousers"}
 
 
@@ -52,7 +53,7 @@ def headline(records: Records) -> Headline:
 
 
 def three_numbers(records: Records) -> str:
-    """Returns README's Markdown table of the three numbers, and a sentence on the machines that measured them."""
+    """Returns README's Markdown table of the three numbers, each with the machine of its record."""
     one, trade, serving = headline(records), records["tradeoff"], records["serving"]
     cases = {(row["garment"], row["fabric"], row["clip"]) for row in trade["rows"]}
     garments, fabrics, clips = ({case[axis] for case in cases} for axis in range(3))
@@ -68,21 +69,21 @@ def three_numbers(records: Records) -> str:
         f"of {one.fps:.0f} poses a second on {one.cores} cores{most}: {one.goodput_pct:.0f} % of the frames are back "
         f"within {serving['late_ms']:.0f} ms, and a pose takes the service {one.pose_ms:.1f} ms of a core"
     )
+    on = {name: processor_and_cores(records[name]) for name in ("tradeoff", "frame", "serving")}
     table = markdown_table(
-        ["", "", "", "record"],
+        ["", "", "", "measured on", "record"],
         [
-            ["gain", f"**{one.gain:.3f}**", gain, "[trade](docs/records/tradeoff.md)"],
-            ["a frame", f"**{one.frame_ms:.1f} ms**", frame, "[frame](docs/records/performance.md#frame-kernels)"],
-            ["streams", f"**{one.streams}**", streams, "[serving](docs/records/performance.md#serving)"],
+            ["gain", f"**{one.gain:.3f}**", gain, on["tradeoff"], "[trade](docs/records/tradeoff.md)"],
+            ["a frame", f"**{one.frame_ms:.1f} ms**", frame, on["frame"], f"[frame]({SPEED}#frame-kernels)"],
+            ["streams", f"**{one.streams}**", streams, on["serving"], f"[serving]({SPEED}#serving)"],
         ],
     )
     gpu, best = records["latency_gpu"], max(_batches(records["latency_gpu"]), key=lambda row: row["frames_per_s"])
-    where = dict.fromkeys(processor_and_cores(records[name]) for name in ("tradeoff", "frame", "serving"))
     on_gpu = (
         f"On {gpu['machine'].split(', ')[2]} the network alone takes {best['p50_ms']:.1f} ms for {best['batch']} "
-        "frames ([record](docs/records/performance.md#latency-gpu-batches))."
+        f"frames ([record]({SPEED}#latency-gpu-batches))."
     )
-    return f"{table}\n\nMeasured on {' and '.join(where)}. {on_gpu}"
+    return f"{table}\n\n{on_gpu}"
 
 
 def tiers(records: Records) -> str:
@@ -204,7 +205,6 @@ BLOCKS: dict[str, Callable[[Records], str]] = {
         three_numbers, tiers, frame, threads, one_frame, streams, gpu_batches, views,
     )
 }  # fmt: skip
-NEEDED = ("tradeoff", "frame", "serving", "latency_gpu", "static_page")  # records
 
 
 def processor_and_cores(record: Record) -> str:

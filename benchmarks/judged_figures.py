@@ -96,4 +96,3 @@ def hem_rise(records: Records) -> str:
 BLOCKS: dict[str, Callable[[Records], str]] = {
     each.__name__: each for each in (quality, two_steps, moving, coarse_skin, hem_rise)
 }
-NEEDED = ("quality", "folds", "moving", "skin_pixels", "swing")  # records

@@ -1,6 +1,7 @@
 """Writes the tables of the committed records into ``docs/records``, and the figures that README and other pages state.
 
 A page has a block ``<!-- record: NAME -->`` ... ``<!-- end of record -->`` ; ``BLOCKS`` makes the text between the two.
+Within a sentence it marks a figure (``benchmarks/marked_figures.py``).
 
 python -m benchmarks.report
 """
@@ -12,19 +13,15 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from benchmarks import figures, judged_figures
+from benchmarks import figures, guide_figures, judged_figures
 from benchmarks.harness import RESULTS_DIR, ROOT
+from benchmarks.marked_figures import FIGURE, fill_figures
 from benchmarks.record_tables import TABLES
 from benchmarks.tables import Record
 
 FOLDER = ROOT / "docs" / "records"
-STATING = (
-    "README.md", "docs/reference/performance.md", "docs/reference/tradeoff.md", "docs/reference/quality.md",
-    "docs/explanation/folds.md", "docs/explanation/swing.md",
-)  # fmt: skip
 BLOCK = re.compile(r"(<!-- record: (\w+) -->\n).*?(<!-- end of record -->)", re.DOTALL)
-BLOCKS = figures.BLOCKS | judged_figures.BLOCKS
-NEEDED = figures.NEEDED + judged_figures.NEEDED
+BLOCKS = figures.BLOCKS | judged_figures.BLOCKS | guide_figures.BLOCKS
 
 
 def pages() -> dict[str, str]:
@@ -41,13 +38,19 @@ def pages() -> dict[str, str]:
 
 def stating() -> dict[str, str]:
     """The text of each document that states figures, by its path, with the figures that the records hold."""
-    records = {name: _record(name) for name in NEEDED}
-    return {path: fill_blocks((ROOT / path).read_text(encoding="utf-8"), records) for path in STATING}
+    records = {path.stem: _record(path.stem) for path in RESULTS_DIR.glob("*.json")}
+    texts = {path: path.read_text(encoding="utf-8") for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"))}
+    return {
+        path.relative_to(ROOT).as_posix(): fill(text, records)
+        for path, text in texts.items()
+        if BLOCK.search(text) or FIGURE.search(text)
+    }
 
 
-def fill_blocks(text: str, records: Mapping[str, Record]) -> str:
-    """The page ``text`` with each of its blocks as the ``records`` have it."""
-    return BLOCK.sub(lambda found: f"{found[1]}{BLOCKS[found[2]](records)}\n{found[3]}", text)
+def fill(text: str, records: Mapping[str, Record]) -> str:
+    """The page ``text`` with each of its blocks and of its marked figures as the ``records`` have it."""
+    blocks = BLOCK.sub(lambda found: f"{found[1]}{BLOCKS[found[2]](records)}\n{found[3]}", text)
+    return fill_figures(blocks, records)
 
 
 def _record(name: str) -> Record:

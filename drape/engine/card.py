@@ -123,10 +123,6 @@ class Card:
         self._do("cuMemAlloc_v2", ctypes.byref(address), ctypes.c_size_t(max(size, 1)))
         return address.value
 
-    def give(self, address: int) -> None:
-        """Gives back what was taken at ``address``."""
-        self._do("cuMemFree_v2", ctypes.c_uint64(address))
-
     def write(self, address: int, numbers: np.ndarray) -> None:
         """Writes the array ``numbers`` to ``address``."""
         given = ctypes.c_void_p(address_of(numbers)), ctypes.c_size_t(numbers.nbytes)

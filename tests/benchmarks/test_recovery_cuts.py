@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from benchmarks import recovery_cuts
+from drape.body.model import BodyModel
 from drape.garment.files.mesh import read_mesh
 from recovery.run.cut import Cut
+from recovery.run.report_pictures import MeshArrays, target_above_result
+from tests.fixtures.garments import shipped
 
 UNSEEN = ("The target does not show its seams: panels and seams are the base's",)
 
@@ -49,3 +54,13 @@ def test_a_target_that_is_refused_has_the_sentence_in_its_row(tmp_path: Path):
     )
     assert row["base"] == "refused" and row["told"] == "no, tshirt" and "mean_mm" not in row
     assert row["refused"] and not (tmp_path / "pictures").exists()
+
+
+def test_a_pair_shows_the_target_above_in_grey_and_what_was_recovered_below_in_another_colour(body: BodyModel):
+    tank = shipped("tank")
+    cloth, skin = MeshArrays(tank.vertices.astype(float), tank.fine_faces), MeshArrays(body.v_template, body.faces)
+    image = np.asarray(Image.open(io.BytesIO(target_above_result(cloth, cloth, skin, (120, 90))))).astype(int)
+    above, below = np.split(image, 2)
+    differs = (above != below).any(axis=-1)  # where the cloth is: the body is the same in both
+    assert above.shape == (120, 90, 3) and 0.05 < differs.mean() < 0.6
+    assert np.ptp(above[differs], axis=-1).max() < 20 < np.ptp(below[differs], axis=-1).mean()

@@ -7,7 +7,6 @@ import http.server
 import os
 import sys
 import threading
-import time
 import tomllib
 import zipfile
 from collections.abc import Callable, Iterator
@@ -29,6 +28,7 @@ from drape.files.gltf import GltfFile
 from drape.wire.clip_message import pack_clip
 from service.settings import Settings
 from tests.clients.addon import ADDON, addon_module, addon_zip
+from tests.fixtures.patience import wait_until
 from tests.fixtures.poses import smooth_motion
 
 calls, local, files = (addon_module(name) for name in ("service_calls", "local_service", "character_file"))
@@ -174,14 +174,6 @@ def test_an_environment_is_named_by_its_folder_or_its_interpreter(tmp_path: Path
     assert {local.python_of(str(path)) for path in (tmp_path, tmp_path / ".venv", python)} == {python}
 
 
-def wait_for(started: Any) -> None:
-    """Waits until a service listens."""
-    until = time.monotonic() + 120.0
-    while not started.ready():
-        assert time.monotonic() < until
-        time.sleep(0.05)
-
-
 def test_an_interpreter_that_does_not_start_and_one_without_the_product_are_refused(tmp_path: Path):
     file = tmp_path / "python"
     file.write_text("no program")
@@ -191,7 +183,7 @@ def test_an_interpreter_that_does_not_start_and_one_without_the_product_are_refu
     bare.write_text(f"#!/bin/sh\nexec {sys.executable} -I -S -c 'import service'\n")
     bare.chmod(0o755)
     with pytest.raises(local.Refusal, match=r'service: expected one that runs, got "ModuleNotFoundError.*Its log is'):
-        wait_for(local.LocalService(str(bare)))
+        wait_until(local.LocalService(str(bare)).ready)
 
 
 def test_a_service_starts_answers_and_ends(make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch):
@@ -199,7 +191,7 @@ def test_a_service_starts_answers_and_ends(make_settings: Callable[..., Settings
         monkeypatch.setenv(f"DRAPE_{name.upper()}", str(value))
     started = local.LocalService(sys.executable)
     try:
-        wait_for(started)
+        wait_until(started.ready)
         assert calls.Service(started.url).json("health")["status"] == "ok"
     finally:
         started.end()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -14,13 +15,14 @@ from drape.cloth.fabric_table import fabric
 from drape.cloth.waistband import waistband
 from drape.errors import InputError
 from drape.garment.cache import Garment
-from drape.garment.sizes import field_in_space
+from drape.garment.sizes import SIZES, field_in_space
 from recovery.catalogue.design_drape import QUICK, body_distance, design
 from recovery.catalogue.fall import Fall
-from recovery.catalogue.size_tables import choose_points, grade_sizes, round_to
+from recovery.catalogue.size_tables import FULL, choose_points, grade_sizes, round_to, same_triangles
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.pattern_mesh import mesh_pattern
 from recovery.sim.skin_contact import GridDistance
+from tests.fixtures.garments import shipped
 from tests.recovery.pattern_setup import default_measurements
 
 
@@ -64,6 +66,23 @@ def test_a_waistband_is_held_where_it_is(body: BodyModel, skin: GridDistance):
     fallen = Fall(made, mesh, fabric(made.fabric), skin, held=band.vertex).run(nodes, steps=2, still_m=0.0).nodes
     assert_array_equal(fallen[band.vertex], nodes[band.vertex])
     assert np.linalg.norm(fallen - nodes, axis=1).max() > 1e-3
+
+
+def test_a_shipped_garment_grows_by_eight_centimetres_a_size_and_its_table_tells_where_it_fell(
+    body: BodyModel, skin: GridDistance
+):
+    """A few steps on a coarse mesh; the panels, whose girths are measured, are those of the sizes all the same."""
+    tank, said, options = shipped("tank"), list[str](), replace(FULL, coarse_m=0.05, coarse_steps=3)
+    table = grade_sizes("tank", tank, body, default_measurements(), skin, report=said.append, options=options)
+    assert_allclose(np.diff([table.measures[size]["chest_m"] for size in SIZES]), 0.08, atol=0.005)
+    kept_mm = [float(found[1]) for line in said if (found := re.search(r"kept within ([\d.]+) mm", line))]
+    assert len(kept_mm) == 3 and max(kept_mm) < 3.0
+
+
+def test_triangles_are_the_same_in_any_order(tube: Garment):
+    faces = tube.fine_faces
+    assert same_triangles(faces, np.roll(faces[::-1], 1, axis=1))
+    assert not same_triangles(faces, faces[1:]) and not same_triangles(faces, faces[:, [0, 1, 1]])
 
 
 def test_a_garment_that_is_not_the_catalogues_is_refused(tube: Garment, body: BodyModel, skin: GridDistance):

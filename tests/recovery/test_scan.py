@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,9 +23,18 @@ from recovery.run.__main__ import main
 from recovery.run.refusal import on_body
 from recovery.run.target import OPENINGS, close_but_openings, long_contours
 from recovery.scan.holes import bites_of, known_faces
-from recovery.scan.repair import ScanFault, in_box, mend_sheet, read_target, roughness, smooth_noise, thin_to_spacing
+from recovery.scan.repair import (
+    ScanFault,
+    in_box,
+    mend_sheet,
+    orient_faces,
+    read_target,
+    roughness,
+    smooth_noise,
+    thin_to_spacing,
+)
 from tests.drape.cloth.cloth_shapes import grid, round_tube
-from tests.fixtures.patience import PATIENT_S
+from tests.fixtures.patience import wait_until
 from tests.recovery.test_fit_contours import joints, sandwich, sizes
 from tests.recovery.test_fit_optimise import search
 from tests.recovery.test_run_cut import worn
@@ -81,8 +89,8 @@ def test_sheets_that_touch_in_a_vertex_and_faces_that_cannot_be_told_apart_are_c
     assert branch_edges(cut_branches(roofed).faces) == 0
 
 
-def test_a_moebius_strip_is_cut_open_once():
-    count = 30
+def moebius(count: int) -> GarmentMesh:
+    """A strip of ``count`` squares that closes with a half turn."""
     angle = 2.0 * np.pi * np.arange(count) / count
     way = np.stack([np.cos(angle), np.zeros(count), np.sin(angle)], axis=1)
     across = np.cos(0.5 * angle)[:, None] * way + np.sin(0.5 * angle)[:, None] * [0.0, 1.0, 0.0]
@@ -90,11 +98,17 @@ def test_a_moebius_strip_is_cut_open_once():
     a, b = np.arange(count), count + np.arange(count)
     c, d = np.roll(a, -1), np.roll(b, -1)
     c[-1], d[-1] = count, 0
-    strip = plain_mesh("strip", vertices, np.concatenate([np.stack([a, c, b], axis=1), np.stack([c, d, b], axis=1)]))
-    flat, cuts = agreeing(strip)
+    return plain_mesh("strip", vertices, np.concatenate([np.stack([a, c, b], axis=1), np.stack([c, d, b], axis=1)]))
+
+
+def test_a_moebius_strip_is_cut_open_once_and_refused_where_that_is_much_of_it():
+    flat, cuts = agreeing(moebius(30))
     assert len(cuts) == 1
     halves, first, second = meshes.edge_pairs(flat.faces)
-    assert (halves[first, 0] != halves[second, 0]).all() and len(flat.vertices) == 2 * count + 2
+    assert (halves[first, 0] != halves[second, 0]).all() and len(flat.vertices) == 2 * 30 + 2
+    with pytest.raises(ScanFault, match=r"cloth with two sides, got 1 edges at which it turns") as fault:
+        orient_faces(moebius(12))
+    assert len(fault.value.points) == 1
 
 
 def test_a_second_garment_is_refused_with_its_place_and_a_picture(tmp_path, capsys):
@@ -286,10 +300,8 @@ def test_nothing_is_silent_for_longer_than_it_may_be():
     lines: list[str] = []
     with progress.watched(write=lines.append, every_s=0.05), progress.stage("long"):
         progress.tick("round 3")
-        deadline = time.monotonic() + PATIENT_S
-        while len(lines) < 3 and time.monotonic() < deadline:
-            time.sleep(0.01)  # a loop that does not tick
-    assert len(lines) >= 3 and "long: round 3" in lines[-1]
+        wait_until(lambda: len(lines) >= 3)  # a loop that does not tick
+    assert "long: round 3" in lines[-1]
     assert not progress.over()
     progress.tick("nobody listens")
 

@@ -9,7 +9,6 @@ import signal
 import socket
 import subprocess
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -27,9 +26,9 @@ from service.guard.access import Access
 from service.settings import Settings
 from service.uploads.accepted import Accepted, staging_folder, taken_over
 from service.uploads.jobs import MOST_ATTEMPTS
-from tests.fixtures.patience import PATIENT_S
+from tests.fixtures.patience import PATIENT_S, ended_job
 from tests.fixtures.serving import files_in, process, serve, served
-from tests.fixtures.streams import PROTOCOLS, stream_address
+from tests.fixtures.streams import PROTOCOLS, raw_stream, stream_address
 
 
 def test_a_service_that_is_told_to_end_says_so_and_goes_on_later(make_settings: Callable[..., Settings]):
@@ -65,12 +64,9 @@ def test_a_service_that_is_told_to_end_says_so_and_goes_on_later(make_settings: 
     assert [line for line in log.splitlines() if "exception" in json.loads(line)] == []
     left = {folder.name for folder in settings.garments_dir.glob(".staging-*/*")}
     assert jobs[-1]["id"] in left <= {job["id"] for job in jobs}
-    with served(settings) as again:
+    with served(settings) as again, httpx.Client(base_url=again) as client:
         for job in [job for job in jobs if job["id"] in left]:
-            deadline = time.monotonic() + 60.0
-            while (found := httpx.get(f"{again}/jobs/{job['id']}").json())["state"] in ("queued", "running"):
-                assert time.monotonic() < deadline
-                time.sleep(0.05)
+            found = ended_job(client, f"/jobs/{job['id']}")
             assert (found["state"], found["name"]) == ("failed", job["name"])  # as no mesh is
     assert files_in(settings.garments_dir) == []
 
@@ -111,11 +107,8 @@ def test_an_upload_that_ends_every_service_is_given_up(make_settings: Callable[.
     job_id = "bad" * 4
     accepted(settings.garments_dir / ".staging-0", job_id, attempts=MOST_ATTEMPTS)  # no process has this id for long
     os.rename(settings.garments_dir / ".staging-0", settings.garments_dir / f".staging-{os.getpid()}")
-    with served(settings) as url:
-        deadline = time.monotonic() + PATIENT_S
-        while (job := httpx.get(f"{url}/jobs/{job_id}").json())["state"] != "failed":
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+    with served(settings) as url, httpx.Client(base_url=url) as client:
+        job = ended_job(client, f"/jobs/{job_id}")
     assert f"within {MOST_ATTEMPTS} starts" in job["problem"]["detail"]
 
 
@@ -162,6 +155,11 @@ def test_a_stream_is_refused_while_the_service_drains(make_settings: Callable[..
         headers = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
         headers |= {"Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==", "Sec-WebSocket-Protocol": wire.SUBPROTOCOL}
         response = httpx.get(url + "/stream", headers=headers)
+        app.state.drape.life.draining = False
+        with raw_stream(url) as late:  # it had its handshake before
+            app.state.drape.life.draining = True
+            late.socket.send(json.dumps({"type": "open", "garment": "tube"}))
+            assert json.loads(late.socket.recv(timeout=PATIENT_S))["kind"] == "Draining"
         assert response.status_code == 503 and response.json()["type"] == "urn:drape:Draining"
         assert httpx.get(url + "/readyz").status_code == 503
 

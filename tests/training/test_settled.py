@@ -11,10 +11,12 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
+from drape.catalog import MOTIONS_DIR
 from drape.cloth import energies
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
 from drape.errors import ArtifactError, InputError, NotFound
+from tests.fixtures.packed import exported
 from tests.training.training_setup import CPU, TINY, TINY_RUN, bank, body, garment, source
 from training import settled
 from training.run import make_trainer
@@ -68,6 +70,15 @@ def test_files_keep_what_was_settled(made: tuple[Trainer, Path]):
     target = torch.from_numpy(found.vertices)
     assert float(distance(target, found, owner.cloth)) == 0.0
     assert_allclose(float(distance(target + 0.01, found, owner.cloth)), 3e-4, rtol=1e-3)
+
+
+def test_the_command_writes_as_many_files_as_its_time_allows(tmp_path: Path, capsys):
+    words = ["--model", str(exported()[1]), "--garment", "shorts", "--motions", str(MOTIONS_DIR)]
+    assert settled.main([*words, "--minutes", "0.002", "--out", str(tmp_path / "new")]) == 0
+    files = sorted((tmp_path / "new").iterdir())
+    assert [path.name for path in files] == [f"001_{number:06d}.npz" for number in range(len(files))]
+    assert f"{len(files)} files of {settled.FRAMES} drapes, 0 lost" in capsys.readouterr().out and files
+    assert SettledDrapes.read(files[0]).garment == "shorts"
 
 
 @pytest.mark.long

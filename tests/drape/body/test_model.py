@@ -78,12 +78,6 @@ def test_bones_are_rotations_that_leave_the_joints_connected(poses, betas, rng):
         assert_allclose(ends[0], ends[1], rtol=0.0, atol=EXACT)
 
 
-def test_skin_weights_are_a_partition_of_unity():
-    weights = default_body().weights
-    assert (weights >= 0.0).all()
-    assert_allclose(weights.sum(axis=1), 1.0, rtol=0.0, atol=EXACT)
-
-
 def test_every_joint_is_a_weighted_mean_of_vertices():
     regressor = default_body().regressor
     assert (regressor.data >= 0.0).all()

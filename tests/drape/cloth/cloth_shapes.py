@@ -40,7 +40,7 @@ def tube(around: int = 12, along: int = 5, *, radius_m: float = 0.1, height_m: f
     return round_tube([radius_m] * (along + 1), np.linspace(0.0, height_m, along + 1), around)
 
 
-def round_tube(radii: Sequence[float], heights: Sequence[float] | np.ndarray, around: int = 24):
+def round_tube(radii: Sequence[float] | np.ndarray, heights: Sequence[float] | np.ndarray, around: int = 24):
     """Vertices [m] and faces of a tube about the y axis through rings of these radii and rising heights [m]."""
     angle = 2.0 * np.pi * np.arange(around) / around
     ring = np.stack([np.sin(angle), np.zeros(around), np.cos(angle)], axis=1)

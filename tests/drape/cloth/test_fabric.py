@@ -74,12 +74,6 @@ def test_hinges_of_an_isotropic_cloth_are_alike_in_torch_too():
     np.testing.assert_allclose(found.numpy(), 2.0e-5, rtol=1e-12, atol=0.0)
 
 
-def test_an_edge_along_the_weft_bends_along_the_warp():
-    x, y = np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([[0.0, 1.0], [0.0, -1.0]])
-    np.testing.assert_allclose(plate_rigidity(WOVEN, bending_angle(x)), WOVEN.bending_warp_j, rtol=1e-12, atol=0.0)
-    np.testing.assert_allclose(plate_rigidity(WOVEN, bending_angle(y)), WOVEN.bending_weft_j, rtol=1e-12, atol=0.0)
-
-
 def test_tensile_modulus_is_the_stiffness_of_a_strip_free_to_narrow():
     expected = WOVEN.warp_n_per_m - WOVEN.cross_n_per_m**2 / WOVEN.weft_n_per_m
     np.testing.assert_allclose(tensile_modulus(WOVEN, 0.0), expected, rtol=1e-12, atol=0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from drape.cloth.energies import ClothMesh
@@ -36,24 +37,17 @@ def test_an_even_stretch_is_the_strain_of_both_axes(rng):
     assert_allclose(found.pressure, 0.0, atol=1e-6, err_msg="flat cloth presses nothing")
 
 
-def test_cloth_at_rest_neither_strains_nor_presses():
-    vertices, cloth = stretched_tube(0.0)
-    found = cloth_tension(vertices, cloth, STIFFNESS, np.ones(len(vertices), dtype=bool))
-    assert_allclose([found.warp, found.weft], 0.0, rtol=0.0, atol=ROUNDING)
-    assert_allclose(found.pressure, 0.0, atol=1e-6)
-
-
-def test_a_stretched_cylinder_presses_by_tension_over_radius():
-    stretch = 0.06
+@pytest.mark.parametrize("stretch", [0.0, 0.06])
+def test_a_stretched_cylinder_presses_by_tension_over_radius(stretch: float):
     vertices, cloth = stretched_tube(stretch)
     found = cloth_tension(vertices, cloth, STIFFNESS, np.ones(len(vertices), dtype=bool))
     length = 1.0 + stretch
     # The second Piola-Kirchhoff stress times the stretch is the force per width that is there now.
     tension_n_per_m = STIFFNESS[1] * 0.5 * (length**2 - 1.0) * length
-    assert_allclose(inner(found.weft), stretch, rtol=1e-9)
+    assert_allclose(inner(found.weft), stretch, rtol=1e-9, atol=ROUNDING)
     assert_allclose(inner(found.warp), 0.0, rtol=0.0, atol=ROUNDING)
     want = tension_n_per_m / (RADIUS_M * length)
-    assert_allclose(inner(inner(found.pressure)), want, rtol=(np.pi / AROUND) ** 2)
+    assert_allclose(inner(inner(found.pressure)), want, rtol=(np.pi / AROUND) ** 2, atol=1e-6)
 
 
 def test_cloth_off_the_skin_hollow_or_slack_presses_nothing():

@@ -64,7 +64,6 @@ int cuMemAlloc_v2(uint64_t* address, size_t bytes) {
   *address = uint64_t(calloc(bytes, 1));
   return 0;
 }
-int cuMemFree_v2(uint64_t address) { free((void*)address); return 0; }
 int cuMemcpyHtoD_v2(uint64_t to, const void* from, size_t bytes) {
   CALL(cuMemcpyHtoD_v2)
   memcpy((void*)to, from, bytes);

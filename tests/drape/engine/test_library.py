@@ -9,8 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drape.engine import build, records
+from drape.engine import build, library, records
 from drape.engine.build import TARGETS, is_made_from, sources_hash
+from drape.engine.calls import call
 from drape.engine.library import has_tiles, library_name, load, processor_level
 from drape.engine.packer import Record
 from drape.errors import ArtifactError
@@ -83,6 +84,18 @@ def test_a_folder_without_a_library_is_refused_with_the_cure(tmp_path):
         processor_level(tmp_path)
     with pytest.raises(ArtifactError, match=r"drape\.engine\.build"):
         load(folder=tmp_path)
+
+
+def test_a_library_of_other_records_is_refused_with_the_cure(monkeypatch):
+    monkeypatch.setattr(library, "HASH", library.HASH ^ 1)
+    with pytest.raises(ArtifactError, match=r"that of this version, got another one: engine-.*drape\.engine\.build"):
+        load.__wrapped__()
+
+
+def test_numbers_of_another_kind_are_our_own_mistake():
+    x = np.zeros(2)
+    with pytest.raises(TypeError, match="expected float64, got float32"):
+        call("law_exponentials", x.dtype, x.astype(np.float32), len(x), x, x)
 
 
 def test_a_library_is_known_by_its_sources_and_by_how_it_was_made(tmp_path: Path):

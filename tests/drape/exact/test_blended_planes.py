@@ -69,17 +69,6 @@ def test_first_and_second_derivatives_are_those_of_differences(uneven, rng):
     assert_allclose(bend, np.swapaxes(bend, 1, 2), rtol=0, atol=1e-12 * np.abs(bend).max())
 
 
-def test_over_a_plane_it_is_the_height(rng):
-    points, _ = grid(20, 20, cell_m=0.01)
-    body = points, np.broadcast_to([0.0, 0.0, 1.0], points.shape)
-    height = rng.uniform(-0.01, 0.01, size=50)
-    x = np.column_stack([rng.uniform(0.05, 0.15, size=(50, 2)), height])
-    found, gradient, bend = distance(body, x)
-    assert_allclose(found, height, rtol=0, atol=1e-15)
-    assert_allclose(gradient, np.broadcast_to([0.0, 0.0, 1.0], x.shape), rtol=0, atol=1e-12)
-    assert_allclose(bend, 0.0, rtol=0, atol=1e-9)
-
-
 def test_over_a_fine_ball_it_is_the_distance_and_the_curvature_less_what_the_blend_rounds(rng):
     radius = 0.1
     points, _ = icosphere(5, radius_m=radius)  # edges of 3 mm

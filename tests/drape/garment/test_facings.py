@@ -23,7 +23,7 @@ def sleeve(turned_in_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     out, back = np.arange(0.0, 0.301, 0.015), np.arange(0.3, 0.3 - turned_in_m - 1e-9, -0.015)
     profile = np.concatenate([np.c_[out, np.full(len(out), 0.06)], np.c_[back, np.full(len(back), 0.055)]])
     points, faces = strip(profile, np.linspace(0.0, 2.0 * np.pi, AROUND + 1))
-    inner = (points[faces][..., 1] < 0.059).all(axis=1)
+    inner = np.all(points[faces][..., 1] < 0.059, axis=1)
     faces = np.where(faces % (AROUND + 1) == AROUND, faces - AROUND, faces)  # the two ends of a ring are one
     turn, arm = np.linspace(0.0, 2.0 * np.pi, 40), np.linspace(0.0, 0.3, 40)
     skin = np.array([[x, 0.04 * np.cos(a), 0.04 * np.sin(a)] for x in arm for a in turn])

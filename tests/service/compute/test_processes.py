@@ -6,7 +6,6 @@ import asyncio
 import ctypes
 import subprocess
 import threading
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ from service.app import create_app
 from service.compute import constants_process, processes
 from service.settings import Settings
 from tests.fixtures.meshes import garment_obj
+from tests.fixtures.patience import ended_job, wait_until
 from tests.fixtures.serving import serve
 from tests.fixtures.streams import raw_stream
 
@@ -79,13 +79,7 @@ def test_no_work_of_clients_forks_the_service(make_settings: Callable[..., Setti
             ]
             sent.append(client.post("/drape", json={"garment": "tube", "tier": "exact", "poses": [[[0.0] * 3] * 24]}))
             assert client.get("/garments/tube/preview.png?size=64").status_code == 200
-            for one in sent:
-                assert one.status_code == 202, one.text
-                deadline = time.monotonic() + 300.0
-                while client.get(one.headers["Location"]).json()["state"] in ("queued", "running"):
-                    assert time.monotonic() < deadline
-                    time.sleep(0.1)
-            jobs = [client.get(one.headers["Location"]).json() for one in sent]
+            jobs = [ended_job(client, one) for one in sent]
             assert [one["state"] for one in jobs] == ["done", "failed", "done"], jobs
         finally:
             stop.set()
@@ -126,10 +120,7 @@ def test_a_process_hears_all_and_is_killed_with_its_block_and_its_children(tmp_p
             return int(await said.readline()), process.pid
 
     child, pid = asyncio.run(heard())
-    deadline = time.monotonic() + 60.0
-    while any(state(one) != "Z" for one in (child, pid)):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_until(lambda: state(child) == state(pid) == "Z")
     assert threading.active_count() <= threads
     assert sorted(path.name for path in tmp_path.iterdir() if path.suffix) == ["spoken.py"]
 

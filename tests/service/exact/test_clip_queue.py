@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import time
 from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
@@ -24,6 +23,7 @@ from service.exact.block import FrameBlock
 from service.exact.clip_queue import ExactClips
 from service.http.exact_clips import exact_job_info
 from service.settings import Settings
+from tests.fixtures.patience import ended_job, wait_until
 from tests.fixtures.serving import served
 from tests.fixtures.streams import raw_stream
 
@@ -50,15 +50,6 @@ def client(url: str) -> Iterator[httpx.Client]:
         yield http
 
 
-def ended(client: httpx.Client, where: str) -> dict:
-    """The job at ``where`` when it has ended."""
-    deadline = time.monotonic() + 150.0
-    while (job := client.get(where).json())["state"] in ("queued", "running"):
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
-    return job
-
-
 @pytest.fixture(scope="module")
 def done(client: httpx.Client) -> str:
     """The address of a clip that is done."""
@@ -67,7 +58,7 @@ def done(client: httpx.Client) -> str:
     where = answer.headers["Location"]
     job = answer.json()
     assert where == f"/jobs/{job['id']}" and job["frames"] == FRAMES and job["state"] in ("queued", "running")
-    assert ended(client, where)["state"] == "done"
+    assert ended_job(client, where)["state"] == "done"
     return where
 
 
@@ -159,9 +150,7 @@ def test_a_clip_that_is_not_done_or_not_there_is_refused(client: httpx.Client):
 
 def test_a_job_that_is_cancelled_leaves_nothing(client: httpx.Client, exact_settings: Settings, done: str):
     where = client.post("/drape", json=ASKED).headers["Location"]
-    deadline = time.monotonic() + 60.0
-    while client.get(where).json()["stage"] != "frames" and time.monotonic() < deadline:
-        time.sleep(0.02)
+    wait_until(lambda: client.get(where).json()["stage"] == "frames")
     assert client.delete(where).status_code == 204
     kept = [path.name for path in (exact_settings.garments_dir / on_disk.FOLDER).iterdir()]
     assert kept == [done.rpartition("/")[2]]
@@ -172,19 +161,17 @@ def test_a_service_that_is_started_again_goes_on_from_the_frames_it_has(make_set
     asked, count = ASKED | {"poses": 3 * POSES.tolist()}, 3 * FRAMES  # more than a slow end of a service computes
     with served(settings) as url, httpx.Client(base_url=url, timeout=60.0) as http:
         where = http.post("/drape", json=asked).headers["Location"]
-        deadline = time.monotonic() + 120.0
-        while not 1 <= len(http.get(where).json()["told"]) < count and time.monotonic() < deadline:
-            time.sleep(0.02)
+        wait_until(lambda: 1 <= len(http.get(where).json()["told"]) < count)
     folder = settings.garments_dir / on_disk.FOLDER / where.rpartition("/")[2]
     before = {path.name: path.stat().st_mtime_ns for path in folder.glob("*.npz")}
     assert 1 <= len(before) < count
     with served(settings) as url, httpx.Client(base_url=url, timeout=60.0) as http:
-        resumed = ended(http, where)
+        resumed = ended_job(http, where)
         assert resumed["state"] == "done", resumed
         divided = http.get(f"{where}/clip").content
         assert {name: (folder / name).stat().st_mtime_ns for name in before} == before
         whole = http.post("/drape", json=asked).headers["Location"]
-        assert ended(http, whole)["state"] == "done"
+        assert ended_job(http, whole)["state"] == "done"
         assert http.get(f"{whole}/clip").content == divided  # to the bit
         kept = http.get(where).json()
     with served(settings) as url, httpx.Client(base_url=url, timeout=60.0) as http:
@@ -196,7 +183,7 @@ def test_a_frame_that_takes_too_long_ends_the_job_in_words(make_settings: Callab
     settings = make_settings()
     with served(settings) as url, httpx.Client(base_url=url, timeout=60.0) as http:
         where = http.post("/drape", json=ASKED).headers["Location"]
-        job = ended(http, where)
+        job = ended_job(http, where)
         assert job["state"] == "failed" and "frame 0" in job["problem"]["name"]
         assert job["problem"]["cure"] == "Leave the pose out."
         with pytest.raises(DrapeError, match=r"within 0\.05 s"), DrapeClient(url) as client:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import http.client
 import json
 import socket
 import time
@@ -13,12 +14,15 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
+from starlette.types import Message
 
 from clients.stream import DrapeStream
 from service.app import create_app
+from service.errors import Draining
 from service.guard import connection_times, limits
 from service.guard.connection_times import HEAD_BYTES
 from service.settings import Settings
+from service.watch.probes import Lifecycle
 from tests.fixtures.patience import PATIENT_S, wait_until
 from tests.fixtures.serving import serve, served
 
@@ -193,6 +197,18 @@ def test_bytes_of_all_bodies_together_are_limited_and_come_free(narrow_address: 
     assert httpx.post(url + "/garments?name=a.obj", content=b"#" * (size + 1)).status_code == 202
 
 
+def test_a_body_that_still_comes_when_the_service_hurries_is_refused(settings: Settings):
+    life = Lifecycle(stuck_s=60.0)
+    life.hurried = True
+
+    async def silent() -> Message:
+        await asyncio.sleep(PATIENT_S)
+        return {"type": "http.request"}
+
+    with pytest.raises(Draining):
+        asyncio.run(limits._Body(settings, life, upload=True).next(silent))
+
+
 def test_places_are_looked_for_before_a_body_is_read(make_settings: Callable[..., Settings], monkeypatch):
     settings = make_settings(intake_queue=1, max_clips=1)
     app = create_app(settings)
@@ -220,10 +236,26 @@ def test_an_answer_that_nobody_reads_ends(narrow_address: tuple[str, int]):
     one.connect(narrow_address)
     one.sendall(post("/drape", size=len(poses)) + poses)
     url = f"http://{narrow_address[0]}:{narrow_address[1]}/metrics"
-    deadline = time.monotonic() + PATIENT_S
-    while 'path="/drape",status="200"' not in httpx.get(url).text:
-        assert time.monotonic() < deadline, "an answer that nobody reads was kept"
-        time.sleep(0.1)
+    kept = "an answer that nobody reads was kept"
+    wait_until(lambda: 'path="/drape",status="200"' in httpx.get(url).text, missing=kept)
+    one.close()
+
+
+def test_a_reader_that_was_slow_for_a_while_keeps_its_connection(narrow_address: tuple[str, int]):
+    """Its time to read ends when it reads on, and does not run out while it asks for nothing."""
+    poses = json.dumps({"garment": "tube", "poses": [[[0.0] * 3] * 24] * 1000}).encode()
+    one = http.client.HTTPConnection(*narrow_address, timeout=PATIENT_S)
+    one.sock = socket.socket()
+    one.sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    one.sock.connect(narrow_address)
+    one.request("POST", "/drape", poses, {"Content-Type": "application/json"})
+    answer = one.getresponse()
+    first = answer.read(1)
+    time.sleep(0.4 * connection_times.READ_S)
+    assert answer.status == 200 and len(first + answer.read()) > 1000 * 216 * 6  # bytes: numbers of frames
+    time.sleep(2.5 * connection_times.READ_S)
+    one.request("GET", "/livez")
+    assert one.getresponse().status == 200
     one.close()
 
 

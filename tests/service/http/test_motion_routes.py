@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from service.uploads import motions
 from service.uploads.sandbox import MOST_FRAMES
 from tests.drape.motion.node_files import CLIP, T_POSE, fbx, glb, moved
 from tests.fixtures.meshes import huge_count_glb
-from tests.fixtures.patience import PATIENT_S
+from tests.fixtures.patience import PATIENT_S, wait_until
 from tests.fixtures.serving import files_in, served
 
 
@@ -119,9 +118,7 @@ def test_limits_end_the_reader_and_a_full_queue_is_refused(make_settings: Callab
             target=lambda: late.append(api.post("/motions?name=slow.bvh", content=body(), timeout=PATIENT_S))
         )
         first.start()
-        until_s = time.monotonic() + PATIENT_S
-        while not list(settings.garments_dir.glob("*/motion-*")) and time.monotonic() < until_s:
-            time.sleep(0.01)
+        wait_until(lambda: list(settings.garments_dir.glob("*/motion-*")))
         busy = asked(api, b"x", name="a.bvh")
         refused.set()
         assert busy.status_code == 429 and "fewer than 1 waiting" in busy.json()["detail"]
@@ -137,9 +134,6 @@ def test_a_client_that_leaves_ends_its_reader(make_settings: Callable[..., Setti
     with served(settings) as url:
         with pytest.raises(httpx.ReadTimeout):
             httpx.post(f"{url}/motions?name=slow.bvh", content=slow_bvh(), timeout=0.5)
-        until_s = time.monotonic() + PATIENT_S
-        while files_in(settings.garments_dir) and time.monotonic() < until_s:
-            time.sleep(0.05)
-        assert files_in(settings.garments_dir) == []
+        wait_until(lambda: not files_in(settings.garments_dir))
         listed = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True).stdout
         assert str(settings.garments_dir) not in listed

@@ -34,6 +34,7 @@ from service.settings import Settings
 from service.watch.prometheus import Metrics
 from tests.architecture.repository import ROOT
 from tests.fixtures.meshes import garment_obj
+from tests.fixtures.patience import ended_job
 from tests.fixtures.tiny_model import TINY_DYNAMIC
 
 with_ray = pytest.mark.skipif(
@@ -256,12 +257,7 @@ def test_requests_and_refusals_are_those_of_the_service(url: str):
 def test_a_killed_replica_costs_its_streams_a_moment_and_no_garment(url: str, tube: Garment, ray_settings: Settings):
     with httpx.Client(base_url=url, timeout=30.0) as client:
         job = client.post("/garments", params={"name": "kept.obj", "avatar": "standard"}, content=garment_obj(tube))
-        assert job.status_code == 202
-        until_s, said = time.monotonic() + 90.0, job.json()
-        while said["state"] in ("queued", "running"):  # whichever of the two is asked
-            assert time.monotonic() < until_s
-            time.sleep(0.1)
-            said = client.get(job.headers["Location"]).json()
+        said = ended_job(client, job)  # whichever of the two is asked
         assert said["state"] == "done", said
         asked = {"garment": said["garment"], "poses": np.zeros((1, 24, 3)).tolist()}
         assert {client.post("/drape", json=asked).status_code for _ in range(16)} == {200}

@@ -6,10 +6,11 @@ import asyncio
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from starlette.websockets import WebSocket
 
 from drape.errors import InputError
 from drape.stages.batch import Memories, PoseInput
@@ -18,8 +19,16 @@ from drape.wire.options import Advanced, DrapeOptions
 from service.compute.background import processor_count
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.threads import SlicedThread
+from service.errors import TooSlow
+from service.guard.key_file import Client
+from service.guard.tickets import Tickets
+from service.replicas import handover
+from service.replicas.handover import Handover
+from service.state import State
+from service.stream import routes
 from service.stream.session import StreamSession
 from service.stream.workers import Streams
+from tests.fixtures.patience import PATIENT_S
 
 REST = np.zeros((24, 3))
 
@@ -59,6 +68,28 @@ def test_the_longest_waiting_pose_goes_first_with_all_of_its_plan(make_runtime: 
     for session in (sessions[2], sessions[0]):
         session.take()
     assert streams._next_batch() == [sessions[1]]
+
+
+class Deaf:
+    """The connection of a client that takes nothing."""
+
+    async def send_bytes(self, data: bytes) -> None:
+        await asyncio.sleep(PATIENT_S)
+
+
+def test_who_takes_no_frame_or_state_within_its_time_is_cut(make_runtime: Callable[..., DrapeRuntime], monkeypatch):
+    runtime = make_runtime(stream_threads=1)
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
+    session, deaf = StreamSession(plan, np.zeros(10), credit=2), cast(WebSocket, Deaf())
+    session.outbox, session.memories = b"a frame", {("folds", plan.keys[0]): np.zeros(9)}
+    session.news.set()
+    for room in (routes, handover):
+        monkeypatch.setattr(room, "SEND_S", 0.01)
+    with pytest.raises(TooSlow, match=r"stream: expected a frame taken within 0\.01 s, got a full connection"):
+        asyncio.run(routes._send(deaf, session, cast(State, None), Client()))
+    away = Handover(runtime, Tickets("a secret")).send_away(deaf, session, Client(), 0)
+    with pytest.raises(TooSlow, match=r"expected a state taken within 0\.01 s, got a full connection.*begins anew"):
+        asyncio.run(away)
 
 
 def test_an_acknowledgement_that_was_not_earned_is_refused(make_runtime: Callable[..., DrapeRuntime]):

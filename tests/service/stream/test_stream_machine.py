@@ -29,6 +29,7 @@ from service.state import State
 from service.stream.session import StreamSession
 from service.watch.probes import Lifecycle
 from tests.fixtures.fuzzing import examples
+from tests.fixtures.patience import wait_until
 from tests.fixtures.serving import serve
 from tests.fixtures.streams import PROTOCOLS, patient_streams, stream_address
 from tests.fixtures.tiny_model import TINY_DYNAMIC
@@ -337,10 +338,7 @@ class Streams(RuleBasedStateMachine):
         for stream in self.streams:
             self.same_again(stream)
         self.sockets.close()
-        until_s = time.monotonic() + ANSWER_S
-        while self.running.state.streams.count:
-            assert time.monotonic() < until_s, "a closed stream keeps its place"
-            time.sleep(0.005)
+        wait_until(lambda: not self.running.state.streams.count, ANSWER_S, "a closed stream keeps its place")
 
 
 def sessions() -> list[StreamSession]:

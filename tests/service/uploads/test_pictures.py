@@ -15,8 +15,9 @@ from drape.garment.files.mesh import read_mesh
 from service.settings import Settings
 from tests.drape.garment.files.test_looks import picture, zipped
 from tests.fixtures.meshes import garment_obj
+from tests.fixtures.patience import ended_job
 from tests.fixtures.serving import served
-from tests.service.uploads.test_uploads import finished, post
+from tests.service.uploads.test_uploads import post
 
 RED = (200, 30, 20)
 MTL = b"newmtl cloth\nmap_Kd cloth.png\n"
@@ -35,7 +36,7 @@ def files(tube: Garment) -> dict[str, bytes]:
 
 
 def test_a_zip_brings_pictures_that_come_back(uploads: httpx.Client, files: dict[str, bytes]):
-    job = finished(uploads, post(uploads, zipped(files), name="Red Tube.zip", avatar="standard"))
+    job = ended_job(uploads, post(uploads, zipped(files), name="Red Tube.zip", avatar="standard"))
     assert (job["state"], job["notes"]) == ("done", []), job
     looks = uploads.get(f"/garments/{job['garment']}/looks").json()
     (material,) = looks["materials"]
@@ -54,12 +55,12 @@ def test_a_zip_brings_pictures_that_come_back(uploads: httpx.Client, files: dict
 
 def test_a_form_brings_pictures_too(uploads: httpx.Client, files: dict[str, bytes]):
     parts = [("file", (name, content)) for name, content in files.items()]
-    job = finished(uploads, uploads.post("/garments", params={"name": "formed", "avatar": "standard"}, files=parts))
+    job = ended_job(uploads, uploads.post("/garments", params={"name": "formed", "avatar": "standard"}, files=parts))
     assert (job["state"], job["notes"]) == ("done", []), job
     assert uploads.get(f"/garments/{job['garment']}/textures/0").status_code == 200
 
 
 def test_a_picture_that_is_not_there_is_told(uploads: httpx.Client, files: dict[str, bytes]):
     del files["cloth.png"]
-    job = finished(uploads, post(uploads, zipped(files), name="bare.zip", avatar="standard"))
+    job = ended_job(uploads, post(uploads, zipped(files), name="bare.zip", avatar="standard"))
     assert job["notes"] == ["'cloth.png' is not beside the mesh: send it in the same zip"]

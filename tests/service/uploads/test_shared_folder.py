@@ -30,6 +30,7 @@ from service.uploads.job_records import JobRecord
 from tests.fixtures.characters import bare_wearer
 from tests.fixtures.garments import tube_garment
 from tests.fixtures.meshes import garment_obj
+from tests.fixtures.patience import wait_until
 from tests.fixtures.serving import serve
 from tests.fixtures.streams import PROTOCOLS
 
@@ -60,13 +61,6 @@ def folder(apps: tuple[FastAPI, FastAPI], pair: tuple[httpx.Client, ...]) -> Pat
     return apps[0].state.drape.runtime.settings.garments_dir
 
 
-def until(holds: Callable[[], bool], seconds: float = 20.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-
-
 def sent(client: httpx.Client, content: bytes, name: str) -> dict:
     query = {"name": name, "avatar": "standard"}
     response = client.post(
@@ -86,14 +80,14 @@ def test_a_garment_that_one_takes_in_the_other_drapes(pair: tuple[httpx.Client, 
         seen.add(found["state"])
         return found["state"] not in ("queued", "running")
 
-    until(ended, 90.0)
+    wait_until(ended, 90.0)
     assert seen <= {"queued", "running", "done"} and len(seen) > 1
     told = there.get(f"/jobs/{job['id']}").json()
     assert (told["garment"], told["share"]) == ("gown", 1.0)
     answers = [one.post("/drape", json={"garment": "gown", "poses": REST}) for one in (there, here)]
     assert answers[0].status_code == 200 and answers[0].content == answers[1].content
     assert there.delete("/garments/gown").status_code == 204
-    until(lambda: here.get("/garments/gown").status_code == 404)
+    wait_until(lambda: here.get("/garments/gown").status_code == 404)
     assert there.delete(f"/jobs/{job['id']}").status_code == 204
     assert here.get(f"/jobs/{job['id']}").status_code == 404
 
@@ -117,7 +111,7 @@ def test_an_avatar_that_one_has_the_other_knows_at_once(
     drapes = [one.post("/drape", json={"garment": "tube", "avatar": "guest", "poses": REST}) for one in (there, here)]
     assert drapes[0].status_code == 200 and drapes[0].content == drapes[1].content
     assert there.delete("/avatars/guest").status_code == 204
-    until(lambda: here.get("/avatars/guest").status_code == 404)
+    wait_until(lambda: here.get("/avatars/guest").status_code == 404)
 
 
 def test_what_is_changed_or_deleted_at_one_is_at_the_other(
@@ -127,7 +121,7 @@ def test_what_is_changed_or_deleted_at_one_is_at_the_other(
     save_garment(tube_garment(body, name="robe", radius_m=0.23), folder)
     assert {client.get("/garments/robe").json()["name"] for client in pair} == {"robe"}
     assert here.patch("/garments/robe", json={"name": "Kleid"}).status_code == 200
-    until(lambda: there.get("/garments/robe").json()["name"] == "Kleid")
+    wait_until(lambda: there.get("/garments/robe").json()["name"] == "Kleid")
 
     async def worn() -> int | None:
         address = str(there.base_url).replace("http", "ws").rstrip("/") + "/stream"
@@ -146,7 +140,7 @@ def test_equal_names_have_the_same_ids_everywhere(pair: tuple[httpx.Client, ...]
     for radius_m in (0.24, 0.25):
         made = tube_garment(body, name="twin", radius_m=radius_m)
         save_garment(replace(made, digest=f"{radius_m} {made.digest}"), folder)
-    until(lambda: all(len(twins(client)) == 2 for client in pair))
+    wait_until(lambda: all(len(twins(client)) == 2 for client in pair))
     assert twins(pair[0]) == twins(pair[1])
 
 
@@ -169,11 +163,11 @@ def test_a_broken_file_is_set_aside_and_the_rest_followed(
 def test_an_upload_is_cancelled_at_either(pair: tuple[httpx.Client, ...], tube: Garment):
     here, there = pair
     job = sent(here, garment_obj(tube), "tube.obj")
-    until(lambda: there.get(f"/jobs/{job['id']}").json()["state"] == "running")
+    wait_until(lambda: there.get(f"/jobs/{job['id']}").json()["state"] == "running")
     assert there.delete(f"/jobs/{job['id']}").status_code == 204
     assert there.get(f"/jobs/{job['id']}").json()["state"] == "cancelled"
-    until(lambda: here.get(f"/jobs/{job['id']}").json()["state"] == "cancelled")
-    until(lambda: here.get("/health").json()["status"] == "ok")
+    wait_until(lambda: here.get(f"/jobs/{job['id']}").json()["state"] == "cancelled")
+    wait_until(lambda: here.get("/health").json()["status"] == "ok")
 
 
 def test_a_service_that_has_its_folder_alone_does_not_look(api: httpx.Client, settings: Settings, body: BodyModel):
@@ -267,7 +261,7 @@ def test_a_service_goes_on_with_what_another_that_ended_had_accepted(
     upload.write(making)
     home.parent.mkdir()
     os.rename(making, home)
-    until(lambda: {one.get(f"/jobs/{job_id}").json().get("state") for one in pair} == {"failed"}, 60.0)
+    wait_until(lambda: {one.get(f"/jobs/{job_id}").json().get("state") for one in pair} == {"failed"}, 60.0)
     assert not home.exists()
 
 

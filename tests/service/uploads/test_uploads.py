@@ -6,8 +6,8 @@ import asyncio
 import json
 import os
 import re
+import signal
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -25,11 +25,12 @@ from service.uploads import jobs
 from service.uploads.accepted import Accepted
 from service.uploads.job_records import JobRecord, read_job_record
 from service.uploads.jobs import SHARES, Job, Uploads, warnings_of
+from service.watch.watchdog import JOBS
 from tests.drape.cloth.cloth_shapes import tube as tube_shape
 from tests.drape.garment.garment_files import obj_text
 from tests.drape.geometry.geometry_shapes import box
 from tests.fixtures.meshes import garment_obj
-from tests.fixtures.patience import PATIENT_S
+from tests.fixtures.patience import ended_job, wait_until
 from tests.fixtures.serving import files_in, served
 
 
@@ -44,21 +45,6 @@ def uploads(upload_settings: Settings) -> Iterator[httpx.Client]:
         yield client
 
 
-def finished(client: httpx.Client, response: httpx.Response, seen: list[dict] | None = None) -> dict:
-    """The job of an accepted upload when it has ended; ``seen`` gets it as it was before."""
-    assert response.status_code == 202, response.text
-    job = response.json()
-    assert response.headers["Location"] == f"/jobs/{job['id']}"
-    deadline = time.monotonic() + PATIENT_S
-    while job["state"] in ("queued", "running"):
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
-        if seen is not None:
-            seen.append(job)
-        job = client.get(response.headers["Location"]).json()
-    return job
-
-
 def post(client: httpx.Client, content: bytes, **query: str) -> httpx.Response:
     return client.post("/garments", content=content, params=query, headers={"Content-Type": "application/octet-stream"})
 
@@ -66,7 +52,7 @@ def post(client: httpx.Client, content: bytes, **query: str) -> httpx.Response:
 def test_junk_fails_with_a_sentence_and_leaves_nothing(uploads: httpx.Client, upload_settings: Settings):
     junk = {"noise.obj": os.urandom(2000), "half.glb": b"glTF\x02\0\0\0\xff\0\0\0"}
     for name, content in junk.items():
-        job = finished(uploads, post(uploads, content, name=name, avatar="standard"))
+        job = ended_job(uploads, post(uploads, content, name=name, avatar="standard"))
         assert job["state"] == "failed", name
         assert job["garment"] is None
         problem = job["problem"]
@@ -89,7 +75,7 @@ def test_a_good_file_becomes_a_garment_that_can_be_draped(
     uploads: httpx.Client, upload_settings: Settings, tube: Garment
 ):
     seen: list[dict] = []
-    job = finished(uploads, post(uploads, garment_obj(tube), name="My Tube.obj", avatar="standard"), seen)
+    job = ended_job(uploads, post(uploads, garment_obj(tube), name="My Tube.obj", avatar="standard"), seen)
     assert (job["state"], job["notes"]) == ("done", []), job
     stages = [list(SHARES["garment"]).index(one["stage"]) for one in seen if one["stage"] is not None]
     assert stages == sorted(stages) and len(set(stages)) > 1
@@ -120,7 +106,7 @@ def test_the_garments_in_a_file_come_as_drawn_and_over_each_other(
     starts = np.cumsum([0] + [len(own) for own, _ in pieces])
     faces = np.concatenate([own + start for (_, own), start in zip(pieces, starts, strict=False)])
     suit = obj_text(np.concatenate([own for own, _ in pieces]), faces)
-    job = finished(uploads, post(uploads, suit, name="suit.obj", avatar="standard"))
+    job = ended_job(uploads, post(uploads, suit, name="suit.obj", avatar="standard"))
     assert job["state"] == "done" and job["wearer"] is None, job
     first, second = job["garments"]
     assert job["garment"] == second
@@ -147,10 +133,10 @@ def test_another_likely_wearer_is_told_and_chosen_by_its_options(uploads: httpx.
     unit, faces = tube_shape(40, 14, radius_m=1.0, height_m=1.0)
     wrap = obj_text(100.0 * (unit * [0.16, 0.3, 0.12] + [0.3, 0.2, -0.2]), faces)
     heights = []
-    first = finished(uploads, post(uploads, wrap, name="wrap.obj"))
+    first = ended_job(uploads, post(uploads, wrap, name="wrap.obj"))
     (other,) = first["wearer"]["others"]
     assert other["unit"] == "cm" and set(other) == set(first["wearer"]) - {"others"}
-    second = finished(uploads, post(uploads, wrap, name="wrap.obj", **other["options"]))
+    second = ended_job(uploads, post(uploads, wrap, name="wrap.obj", **other["options"]))
     assert second["garment"] != first["garment"] and second["wearer"] is None, second
     for job in (first, second):
         mesh = uploads.get(f"/garments/{job['garment']}/mesh").json()
@@ -196,12 +182,12 @@ def test_a_file_inside_json_is_refused_and_the_cure_works(uploads: httpx.Client,
     told = re.search(r"(\?\S+) and Content-Type: ([\w/-]+)", refused.json()["cure"])
     assert told is not None
     content = {"content": b"f 1 2 3", "headers": {"Content-Type": told[2]}}
-    assert finished(uploads, uploads.post(f"/garments{told[1]}", **content))["state"] == "failed"
+    assert ended_job(uploads, uploads.post(f"/garments{told[1]}", **content))["state"] == "failed"
 
 
 def test_content_types_name_the_format(uploads: httpx.Client):
     response = uploads.post("/garments?name=shirt", content=b"junk", headers={"Content-Type": "model/gltf-binary"})
-    job = finished(uploads, response)
+    job = ended_job(uploads, response)
     assert job["state"] == "failed" and job["name"] == "shirt"
 
 
@@ -218,7 +204,7 @@ def test_a_full_queue_is_refused(make_settings: Callable[..., Settings]):
         first = post(client, b"v 0 0 0\n", name="a.obj")
         second = post(client, b"v 0 0 0\n", name="b.obj")
         assert second.status_code == 429 and "uploads" in second.json()["detail"]
-        finished(client, first)
+        ended_job(client, first)
 
 
 def test_two_workers_run_two_uploads_and_a_client_that_leaves_cancels_its_own(
@@ -245,12 +231,17 @@ def test_two_workers_run_two_uploads_and_a_client_that_leaves_cancels_its_own(
         api.close()
 
 
+def test_an_intake_that_is_ended_from_outside_is_told_by_its_status(uploads: httpx.Client, tube: Garment):
+    sent = post(uploads, garment_obj(tube), name="tube.obj", avatar="standard")
+    clocks = wait_until(lambda: next((one.clocks for one in tuple(JOBS) if one.lane == "intake"), None))
+    os.kill(clocks[0].args[0], signal.SIGTERM)  # pyright: ignore[reportAttributeAccessIssue]
+    job = ended_job(uploads, sent)
+    assert job["state"] == "failed" and "a file on which the intake ends with status -15" in job["problem"]["detail"]
+
+
 def test_cancelled_uploads_end_and_leave_nothing(uploads: httpx.Client, upload_settings: Settings, tube: Garment):
     running, waiting = (post(uploads, garment_obj(tube), name="tube.obj", avatar="standard").json() for _ in range(2))
-    deadline = time.monotonic() + PATIENT_S
-    while uploads.get(f"/jobs/{running['id']}").json()["state"] != "running":
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
+    wait_until(lambda: uploads.get(f"/jobs/{running['id']}").json()["state"] == "running")
     assert uploads.get(f"/jobs/{waiting['id']}").json()["state"] == "queued"
     for job in (waiting, running):
         assert uploads.delete(f"/jobs/{job['id']}").status_code == 204
@@ -261,7 +252,7 @@ def test_cancelled_uploads_end_and_leave_nothing(uploads: httpx.Client, upload_s
     assert str(upload_settings.garments_dir) not in mine
     assert uploads.delete(f"/jobs/{running['id']}").status_code == 204  # it has ended: it is forgotten
     assert uploads.get(f"/jobs/{running['id']}").status_code == 404
-    assert finished(uploads, post(uploads, b"v 0 0 0\n", name="next.obj", avatar="standard"))["state"] == "failed"
+    assert ended_job(uploads, post(uploads, b"v 0 0 0\n", name="next.obj", avatar="standard"))["state"] == "failed"
 
 
 def test_a_garment_that_is_cancelled_as_it_is_stored_is_not_kept(

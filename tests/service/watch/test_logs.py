@@ -32,7 +32,7 @@ from service.watch.logs import JsonLines, TextLines, set_up
 from service.watch.tracing import Tracing, make_tracing
 from tests.architecture.repository import ROOT
 from tests.fixtures.meshes import garment_obj
-from tests.fixtures.patience import PATIENT_S
+from tests.fixtures.patience import ended_job, wait_until
 from tests.fixtures.serving import serve, served
 from tests.fixtures.streams import PROTOCOLS, raw_stream, stream_address
 
@@ -54,10 +54,8 @@ def written(form: logging.Formatter, wanted: Callable[[dict], bool] | None = Non
     root.setLevel(logging.INFO)
     try:
         yield lines
-        deadline = time.monotonic() + PATIENT_S
-        while wanted and not any(wanted(json.loads(line)) for line in list(lines)):
-            assert time.monotonic() < deadline, lines
-            time.sleep(0.01)
+        if wanted:
+            wait_until(lambda: any(wanted(json.loads(line)) for line in list(lines)), missing=str(lines))
     finally:
         root.removeHandler(kept)
         root.setLevel(level)
@@ -263,9 +261,7 @@ def test_an_upload_is_a_trace_with_a_link_to_its_request(make_settings, collecto
     with served(make_settings(trace=True)) as url, httpx.Client(base_url=url, timeout=60.0) as client:
         for name, content in (("sleeve.obj", garment_obj(tube)), ("broken.obj", b"v 0 0 0\n")):
             sent = {"name": name, "avatar": "standard"}
-            where = client.post("/garments", content=content, params=sent).headers["Location"]
-            while (told := client.get(where).json())["state"] in ("queued", "running"):
-                time.sleep(0.05)
+            told = ended_job(client, client.post("/garments", content=content, params=sent))
             assert told["state"] == ("done" if name == "sleeve.obj" else "failed"), told
     good, bad = collector.named("upload")
     requests = collector.named("POST /garments")

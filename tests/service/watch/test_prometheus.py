@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import re
@@ -29,7 +30,7 @@ from service.watch import prometheus as service_metrics
 from service.watch.probes import MOST_CLIENTS, Lifecycle, Probes
 from service.watch.prometheus import Metrics
 from tests.architecture.repository import ROOT
-from tests.fixtures.patience import PATIENT_S
+from tests.fixtures.patience import wait_until
 from tests.fixtures.streams import PROTOCOLS, stream_address
 
 REST = np.zeros((1, 24, 3)).tolist()
@@ -222,16 +223,17 @@ def test_clients_that_say_nothing_do_not_fill_the_probes_port():
     with Probes(bind_listener("127.0.0.1", 0), Lifecycle(stuck_s=60.0), Metrics()) as probes:
         address = ("127.0.0.1", probes.server_address[1])
         silent = [socket.create_connection(address) for _ in range(MOST_CLIENTS)]
-        deadline = time.monotonic() + PATIENT_S
-        while True:  # until those that say nothing are hung up on
-            try:
-                assert httpx.get(f"http://127.0.0.1:{address[1]}/livez").status_code == 200
-                break
-            except httpx.TransportError:
-                assert time.monotonic() < deadline
-                time.sleep(0.1)
+        # until those that say nothing are hung up on
+        assert wait_until(lambda: answered(f"http://127.0.0.1:{address[1]}/livez")) == 200
         for one in silent:
             one.close()
+
+
+def answered(url: str) -> int:
+    """The status of the answer; 0 where none comes."""
+    with contextlib.suppress(httpx.TransportError):
+        return httpx.get(url).status_code
+    return 0
 
 
 def test_a_start_answers_its_probes_while_it_loads(tiny_folder: Path):
@@ -246,14 +248,9 @@ def test_a_start_answers_its_probes_while_it_loads(tiny_folder: Path):
     ) as service:
         seen = []
         try:
-            deadline = time.monotonic() + 60.0
             while 200 not in seen:
-                assert time.monotonic() < deadline
-                try:
-                    seen.append(httpx.get(f"http://127.0.0.1:{port}/readyz").status_code)
-                    assert httpx.get(f"http://127.0.0.1:{port}/livez").status_code == 200
-                except httpx.ConnectError:
-                    pass
+                seen.append(wait_until(lambda: answered(f"http://127.0.0.1:{port}/readyz")))
+                assert answered(f"http://127.0.0.1:{port}/livez") == 200
                 time.sleep(0.02)
         finally:
             service.terminate()

@@ -36,19 +36,9 @@ from service.watch.probes import Lifecycle
 from service.watch.prometheus import Metrics
 from service.watch.watchdog import JOBS, Watchdog, WatchedJob, say_moved, spent_s, waits_for
 from tests.fixtures.meshes import garment_obj
+from tests.fixtures.patience import PATIENT_S, wait_until
 from tests.fixtures.serving import serve, served
 from tests.fixtures.streams import raw_stream
-
-LONG_S = 120.0
-
-
-def awaited(found: Callable[[], Any]) -> Any:
-    """What ``found`` gives as soon as it is something."""
-    deadline = time.monotonic() + LONG_S
-    while not (got := found()):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    return got
 
 
 def process_of(lane: str) -> int:
@@ -116,11 +106,11 @@ def test_a_job_that_has_not_moved_is_told():
     def wait() -> None:
         say_moved()
         waiting.set()
-        free.wait(LONG_S)
+        free.wait(PATIENT_S)
 
     with watchdog.ThreadLane("test", 1) as lane:
         lane.submit(wait)
-        waiting.wait(LONG_S)
+        waiting.wait(PATIENT_S)
         watching._look(time.monotonic() + 9.0)
         free.set()
         assert watching._life.still["test"] > 5.0
@@ -154,23 +144,23 @@ HELD = threading.Event()
 
 
 def hangs_here(*_: Any, **__: Any) -> Any:
-    HELD.wait(LONG_S)
+    HELD.wait(PATIENT_S)
     raise MeshError("this test", expected="a held job", got="one let go", cure="None is needed.")
 
 
 def clip(url: str) -> None:
-    httpx.post(f"{url}/drape", json={"garment": "tube", "poses": np.zeros((2, 24, 3)).tolist()}, timeout=LONG_S)
+    httpx.post(f"{url}/drape", json={"garment": "tube", "poses": np.zeros((2, 24, 3)).tolist()}, timeout=PATIENT_S)
 
 
 def stream(url: str) -> None:
     with raw_stream(url) as one:
         one.open(garment="tube")
         one.socket.send(wire.pack_pose(wire.Pose(1, 0.0, np.zeros(3), np.full((24, 3), 0.01))))
-        HELD.wait(LONG_S)
+        HELD.wait(PATIENT_S)
 
 
 def measures(url: str) -> None:
-    httpx.get(f"{url}/bodies/{httpx.get(url + '/bodies').json()[0]['id']}/measures", timeout=LONG_S)
+    httpx.get(f"{url}/bodies/{httpx.get(url + '/bodies').json()[0]['id']}/measures", timeout=PATIENT_S)
 
 
 @pytest.mark.parametrize(
@@ -198,12 +188,12 @@ def test_a_thread_that_hangs_is_told_with_its_stack(
         finally:
             HELD.set()
             asking.join()
-        awaited(lambda: httpx.get(url + "/livez").status_code == 200)
+        wait_until(lambda: httpx.get(url + "/livez").status_code == 200)
 
 
 def told_by(url: str, lane: str) -> None:
     """Waits until the service tells of ``lane`` in all ways."""
-    answer = awaited(lambda: (found := httpx.get(url + "/livez")).status_code == 503 and found)
+    answer = wait_until(lambda: (found := httpx.get(url + "/livez")).status_code == 503 and found)
     assert f"{lane}: expected a move within 2 s, got none for " in answer.json()["detail"]
     assert httpx.get(url + "/readyz").status_code == 503
     series = [line for line in httpx.get(url + "/metrics").text.splitlines() if "drape_lane_still" in line]
@@ -219,7 +209,7 @@ def test_a_process_that_hangs_is_told(make_settings: Callable[..., Settings], tu
         asking = None
         if lane == "constants":
             app.state.drape.runtime.threads.streamed_s = math.inf  # as beside streams
-            httpx.get(f"{url}/garments/tube/preview.png?size=64", timeout=LONG_S)
+            httpx.get(f"{url}/garments/tube/preview.png?size=64", timeout=PATIENT_S)
             pid = app.state.drape.runtime.constants_process._process.pid
             os.kill(pid, signal.SIGSTOP)
             asking = threading.Thread(target=httpx.get, args=(f"{url}/garments/tube/preview.png?size=65",))
@@ -229,13 +219,13 @@ def test_a_process_that_hangs_is_told(make_settings: Callable[..., Settings], tu
         else:
             httpx.post(f"{url}/drape", json={"garment": "tube", "tier": "exact", "poses": [[[0.0] * 3] * 24]})
         if lane != "constants":
-            pid = awaited(lambda: process_of(lane))
+            pid = wait_until(lambda: process_of(lane))
             os.kill(pid, signal.SIGSTOP)
         try:
             told_by(url, "apart" if lane == "constants" else lane)
         finally:
             os.kill(pid, signal.SIGCONT)
-            awaited(lambda: httpx.get(url + "/livez").status_code == 200)
+            wait_until(lambda: httpx.get(url + "/livez").status_code == 200)
             if asking is not None:
                 asking.join()
     assert "a job has not moved for " in caplog.text
@@ -293,7 +283,7 @@ class Hung:
     def hang(self) -> None:
         assert self.process.stdout is not None
         url = self.process.stdout.readline().split()[2]
-        assert httpx.post(f"{url}/garments?name=t.obj", content=b"v 0 0 0\n", timeout=LONG_S).status_code == 202
+        assert httpx.post(f"{url}/garments?name=t.obj", content=b"v 0 0 0\n", timeout=PATIENT_S).status_code == 202
         self.child = int(self.process.stdout.readline())
         asked: dict[str, Any] = {"json": {"garment": "tube", "poses": [[[0.0] * 3] * 24]}}
         method, more = ("POST", asked) if self.path == "/drape" else ("GET", {})
@@ -314,14 +304,14 @@ def test_the_word_to_end_ends_whatever_hangs_and_its_processes(make_settings: Ca
             one.hang()
         for name in ("lane", "loop"):  # a held lock holds the probes too
             probe = f"http://127.0.0.1:{all_hung[name].port}/livez"
-            awaited(lambda probe=probe: httpx.get(probe, timeout=LONG_S).status_code == 503)
+            wait_until(lambda probe=probe: httpx.get(probe, timeout=PATIENT_S).status_code == 503)
         for one in all_hung.values():
             one.process.send_signal(signal.SIGTERM)
         for name, one in all_hung.items():
-            _, said = one.process.communicate(timeout=LONG_S)
+            _, said = one.process.communicate(timeout=PATIENT_S)
             assert one.process.returncode == one.status, (name, said)
             assert "hangs_here" in said
-            awaited(lambda one=one: not Path(f"/proc/{one.child}").exists() or is_dead(one.child))
+            wait_until(lambda one=one: not Path(f"/proc/{one.child}").exists() or is_dead(one.child))
             if name != "lock":
                 lines = [json.loads(line)["message"] for line in said.splitlines()]
                 lane = "aside" if name == "lane" else "event loop"
