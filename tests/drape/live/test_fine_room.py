@@ -68,7 +68,7 @@ def test_planes_equal_the_readable_ones(tank: TwoLevel, still: Frame):
 
 
 def test_cloth_that_is_pressed_together_crosses_itself_less(tank: TwoLevel, still: Frame):
-    """Of pairs of triangles 58 cross at the end where the fine cloth has the planes of the coarse one alone, else 41."""
+    """Of pairs of triangles 58 cross where the fine cloth has the planes of the coarse one alone, else 41."""
     one, memory, x = pressed(still, 0.3), None, still.vertices
     one = replace(one, vertices=one.vertices * np.array([1.0, 0.8, 1.0], np.float32))
     for number in range(12):
