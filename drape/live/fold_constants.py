@@ -52,21 +52,16 @@ class WornCloth:
     friction: float = 0.0
 
     @property
-    def lies(self) -> np.ndarray:
-        """How much of each vertex (V,) lies on the skin at rest, from ``LEAST`` where it hangs to 1: its share of the
-        leash.
-        """
-        leash = np.maximum(LEASH_N_M3 * self.cloth.vertex_area, np.finfo(float).tiny)  # a vertex may have no area
-        return np.minimum(self.band_n_per_m / leash, 1.0)
-
-    @property
     def springs_n_per_m(self) -> np.ndarray:
         """The springs (V,) that hold vertices in steps of the whole cloth, besides contact's.
 
         These are the leash, and ``HOLD`` of contact's stiffness where cloth lies on the skin: friction holds it there,
         and so does the leash where it is tightened for want of room.
         """
-        return self.band_n_per_m + HOLD * self.lies * contact_n_per_m(self.cloth, self.material)
+        contact = contact_n_per_m(self.cloth, self.material)
+        leash = np.maximum(LEASH_N_M3 * self.cloth.vertex_area, np.finfo(float).tiny)  # a vertex may have no area
+        lies = np.minimum(self.band_n_per_m / leash, 1.0)
+        return self.band_n_per_m + HOLD * lies * contact
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,13 +154,18 @@ def worn_mesh(cloth: ClothMesh, vertices: np.ndarray, body: BodyModel, fabric: F
     return WornCloth(cloth, outside, held, skin_graph(skin), index, fabric.friction)
 
 
+def heights_m(vertices: np.ndarray, skin: Samples, index: np.ndarray) -> np.ndarray:
+    """Returns how far [m] (V,) ``vertices`` [m] (V, 3) are above the planes of the samples ``index`` of ``skin``."""
+    return ((vertices - skin.point[index]) * skin.normal[index]).sum(axis=1)
+
+
 def leash_n_per_m(vertices: np.ndarray, area: np.ndarray, skin: Samples, index: np.ndarray) -> np.ndarray:
     """The leash's stiffness [N/m] (V,) for ``vertices`` [m] (V, 3) at rest, which have ``area`` [m^2] (V,).
 
     It falls with their height over the sample ``index`` (V,) of ``skin``: friction would hold what lies there, and what
     hangs is free to hang as its fabric does.
     """
-    height_m = ((vertices - skin.point[index]) * skin.normal[index]).sum(axis=1)
+    height_m = heights_m(vertices, skin, index)
     return LEASH_N_M3 * area * np.clip((HANGING_M - height_m) / (HANGING_M - LYING_M), LEAST, 1.0)
 
 

@@ -18,6 +18,7 @@ from drape.cloth.coarse_mesh import coarse_mesh
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import fabric as fabric_named
+from drape.contact.skin import body_skin
 from drape.engine.calls import call
 from drape.engine.library import LANES
 from drape.engine.packer import Record
@@ -31,6 +32,7 @@ from drape.live.fold_constants import (
     WornCloth,
     array_bytes,
     fold_constants,
+    heights_m,
     worn_cloth,
     worn_mesh,
 )
@@ -52,7 +54,9 @@ from drape.live.skin_walks import TouchedSamples
 from drape.live.untangle import tangles_of
 
 LEAST = 700  # vertices of the coarse cloth: a sock is small, and round
-FOLD_EDGES = 2.5  # edges of the coarse cloth in the length over which it bends under its own weight
+# Edges of the coarse cloth in the length over which it bends under its own weight: none more below a height over the
+# skin, all of them above another.
+FOLD_EDGES, NEAR_M, FREE_M = 3.5, 0.04, 0.12
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +169,9 @@ def two_level(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -
     vertices = garment.vertices[: garment.vertex_count].astype(np.float64)
     made = coarse_mesh(garment.delivered_rest(), vertices, worn.cloth.faces, least=LEAST)
     cloth, fabric = ClothMesh.of(made.rest, made.faces, len(made.vertex)), fabric or fabric_named(garment.fabric)
-    coarse = FoldConstants.of(stiffened(worn_mesh(cloth, vertices[made.vertex], body, fabric)))
+    kept = vertices[made.vertex]
+    below = worn_mesh(cloth, kept, body, fabric)
+    coarse = FoldConstants.of(stiffened(below, heights_m(kept, body_skin(body), below.index)))
     fine = sheet(worn.cloth, worn.material, worn.band_n_per_m)
     taken, weight = coarse_weights(vertices, worn.cloth.faces, made.vertex, cloth.mean_edge_m)
     taken, weight = coarse.sheet.place[taken][fine.vertex], weight[fine.vertex]
@@ -181,19 +187,19 @@ def two_level(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -
     return TwoLevel(levels, LaidCloth(fine, coarse.graph, worn.index[fine.vertex]))
 
 
-def stiffened(worn: WornCloth) -> WornCloth:
-    """Returns ``worn`` with hinges so stiff that its edges resolve the folds of its own weight, where it hangs.
+def stiffened(worn: WornCloth, height_m: np.ndarray) -> WornCloth:
+    """Returns ``worn`` with hinges so stiff that its edges resolve the folds of its own weight.
 
     Cloth of rigidity B [J] and weight q [N/m^2] bends under its weight over the length (B / q)^(1/3) (Cerda, Mahadevan
     and Pasini 2004, "The elements of draping", PNAS 101(7)). Where that is less than an edge, as on a coarse mesh of
-    satin, a mesh does not fold but crumple. Here it is ``FOLD_EDGES`` mean edges at least. Where cloth lies on the skin
-    at rest, skin smooths it, and it keeps its own rigidity.
+    satin, a mesh does not fold but crumples. Here it is ``FOLD_EDGES`` mean edges at least where the ``height_m`` (V,)
+    over the skin at rest is ``FREE_M`` or more. Nearer to the skin, which smooths it, cloth keeps its own rigidity.
     """
     cloth, material = worn.cloth, worn.material
     weight = material.gravity_m_s2 * material.density_kg_m2
     times = weight * (FOLD_EDGES * cloth.mean_edge_m) ** 3 / material.bending_j
-    hangs = 1.0 - worn.lies[cloth.hinge_index.reshape(4, -1)].mean(axis=0)
-    weights = cloth.hinge_weight * (1.0 + np.maximum(times - 1.0, 0.0) * hangs)
+    free = np.clip((height_m - NEAR_M) / (FREE_M - NEAR_M), 0.0, 1.0)[cloth.hinge_index.reshape(4, -1)].mean(axis=0)
+    weights = cloth.hinge_weight * (1.0 + np.maximum(times - 1.0, 0.0) * free)
     return replace(worn, cloth=replace(cloth, hinge_weight=weights))
 
 

@@ -94,6 +94,10 @@
                                           T* gradient) {                                                               \
     gradient_at(x, cloth->sheet, planes, network, T(HOLD), gradient);                                                  \
   }                                                                                                                    \
+  EXPORT void drape_law_sweep_##suffix(T* x, const FoldConstants<T>* cloth, const T* planes, const T* network,        \
+                                       int64_t over) {                                                                 \
+    descend(x, cloth->sheet, planes, network, over);                                                                   \
+  }                                                                                                                    \
   EXPORT int64_t drape_law_whole_step_##suffix(T* x, const FoldConstants<T>* cloth, const T* gradient,                \
                                                Scratch* scratch) {                                                     \
     const int64_t count = cloth->factor.place.count;                                                                   \

@@ -95,6 +95,8 @@ DEVICE void settle_fine(const Laid<T>& laid, const Laid<T>& coarse, const T* net
   put_own_planes<T>(x, places, skin, coarse.at, fine.parent, planes);
   put_other_planes<T>(x, places, skin, after.other, fine.parent, planes);
   put_collider_planes(x, places, around.colliders, planes);
+  for (int64_t p : each(places))
+    planes[PLANES * (p / LANES) + NEAR_ROW + p % LANES] = T(lies_near(coarse.planes, fine, p));
   const int64_t found = schedule.untangle > 0 ? close_clusters(coarse.planes, fine, close) : 0;
   const auto come_apart = [&] {
     untangle(x, places, fine.tangles, close, found, schedule.untangle, APART_STEPS, crossed, scratch);
@@ -103,7 +105,8 @@ DEVICE void settle_fine(const Laid<T>& laid, const Laid<T>& coarse, const T* net
     come_apart();
     keep_fine_apart<T>(x, coarse.planes, levels, planes, scratch);
   }
-  for (int64_t sweep = 0; sweep < schedule.sweeps; ++sweep) descend(x, fine.sheet, planes, network);
+  for (int64_t sweep = 1; sweep <= schedule.sweeps; ++sweep)
+    descend(x, fine.sheet, planes, network, sweep < schedule.sweeps);  // the last leaves no step too long
   if (found > 0) come_apart();
   leave_colliders(x, places, around.colliders, planes, schedule.clearance);
   if (schedule.clearance > 0) {

@@ -14,6 +14,10 @@
 // the one that keeps cloth apart from cloth. b is where the network has the vertex. Friction pulls back to the place
 // where the skin has taken the vertex, with mu times the force of contact, and less than SLIP_M from there with a share
 // of it. Creases, which few vertices have, are added lane by lane.
+//
+// What is bent relaxes slowly. So a sweep that others follow takes OVER times the step (successive over-relaxation:
+// Young 1954, "Iterative Methods for Solving Partial Difference Equations of Elliptic Type", Trans. AMS 76(1)) where
+// cloth is farther than FREE_M from the skin, no plane keeps it from another part, and no other cloth is near.
 #pragma once
 #include "elements.hpp"
 
@@ -24,6 +28,7 @@ constexpr int OWN_PLANE = 0, OTHER_PLANE = 6 * LANES, HELD_ROW = 12 * LANES, SLA
 constexpr int STUCK = 14 * LANES, FRICTION_ROW = 17 * LANES, NEAR_ROW = 18 * LANES, PLANES = 19 * LANES;
 // The rows of a block of a sheet's own numbers.
 constexpr int WEIGHT = 0, BEND_DIAGONAL = LANES, CONTACT = 2 * LANES, LEASH = 3 * LANES, OWN = 4 * LANES;
+constexpr double OVER = 1.5, FREE_M = 0.02;
 constexpr double SLIP_M = 1e-3;  // friction is a spring up to here, and slips with the force that it has then
 
 template <class T> struct Model {
@@ -144,16 +149,28 @@ template <class T> INLINE int64_t colour_start(const Sheet<T>& sheet, int64_t n)
 }
 #endif
 
-// One sweep over x [m] (P, 3), in place, held by planes and to the places of the network [m] (P, 3). Behind the last
-// point of x there is room for one number.
-template <class T> DEVICE void descend(T* x, const Sheet<T>& sheet, const T* planes, const T* network) {
+// How much of its step a block of points takes in a sweep that others follow.
+template <class T> INLINE Row<T> onward(Points<T> x, const T* planes) {
+  const Row<T> one = row_of(T(1));
+  const Points<T> normal = rows3_at(planes + OWN_PLANE + 3 * LANES), other = rows3_at(planes + OTHER_PLANE + 3 * LANES);
+  const Row<T> height = dot(x - rows3_at(planes + OWN_PLANE), normal);
+  const Row<T> held = dot(other, other) + row_at(planes + NEAR_ROW);
+  return where<T>((height > row_of(T(FREE_M))) & (row_of(T(0.5)) > held), row_of(T(OVER)), one);
+}
+
+// One sweep over x [m] (P, 3), in place, held by planes and to the places of the network [m] (P, 3); others follow it
+// if over is true. Behind the last point of x there is room for one number.
+template <class T>
+DEVICE void descend(T* x, const Sheet<T>& sheet, const T* planes, const T* network, bool over = false) {
   const Fabric<T> k(sheet.constants);
   for (int64_t colour = 0; colour < colours_of(sheet); ++colour)
     for (int64_t block : each_block(colour_start(sheet, colour), colour_start(sheet, colour + 1))) {
       Model<T> model = model_of<true>(x, block, sheet, planes, network, T(0), k);
       Points<T> step = solved(model.hessian, model.gradient);
       Row<T> share = k.reach / root<T>(most<T>(dot(step, step), row_of(k.reach * k.reach)));
-      put_points(x + 3 * LANES * block, plus(points_in(x + 3 * LANES * block), -share, step));
+      const Points<T> own = points_in(x + 3 * LANES * block);
+      if (over) share = onward<T>(own, planes + PLANES * block) * share;
+      put_points(x + 3 * LANES * block, plus(own, -share, step));
     }
 }
 
