@@ -52,7 +52,7 @@ def model_config_from(data: dict[str, Any]) -> ModelConfig:
     Raises ``ValueError`` for a network without a part that its variant has now.
     """
     sizes = {name: value for name, value in _tuples(data).items() if name not in FORMER_SWITCHES}
-    config = ModelConfig(**{"fabric": False, **sizes})  # networks from before fabrics do not name it
+    config = ModelConfig(**sizes)
     odd = [name for name in FORMER_SWITCHES if data.get(name, config.vector) != config.vector]
     if odd:
         raise ValueError(f"{odd[0]}: expected {config.vector} with variant {config.variant!r}. Train it anew.")
