@@ -272,7 +272,7 @@ def consistent_turn(faces: np.ndarray) -> np.ndarray:
 def fewest_turned(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Which faces (F,) to reverse so that neighbours agree, the fewest of each piece, and the piece (F,) of each; in a
     one-sided piece some do not agree then. Edges have at most two faces."""
-    oriented, piece = igl.bfs_orient(np.ascontiguousarray(faces, dtype=np.int64))
+    oriented, piece = map(np.asarray, igl.bfs_orient(np.ascontiguousarray(faces, dtype=np.int64)))
     turn = (oriented != faces).any(axis=1)
     return turn ^ (2 * np.bincount(piece, turn) > np.bincount(piece))[piece], piece
 

@@ -100,4 +100,4 @@ def mean_value_weights(points: np.ndarray, cage: np.ndarray) -> np.ndarray:
     Rows sum to one and reproduce linear functions; on a side they interpolate its ends. In a polygon that is
     not convex some are negative.
     """
-    return igl.mvc(np.ascontiguousarray(points), np.ascontiguousarray(cage))
+    return np.asarray(igl.mvc(np.ascontiguousarray(points), np.ascontiguousarray(cage)))
