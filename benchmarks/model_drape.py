@@ -16,10 +16,12 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
+from drape.graph.feeds import kinematics
 from drape.graph.packing import pack_body
 from drape.inference.engine import Engine
 from drape.inference.onnx_runtime import Device
 from drape.inference.packing import Packer, ScenePlan
+from drape.stages.motion import Memory, Moment, advance
 
 FRAMES_PER_CALL = 8  # the vertex stage holds some megabytes per frame
 
@@ -101,6 +103,26 @@ class ModelDrape:
             for name in ("vertices", "jet", "frame_rotation", "frame_centre")
         )
         return NetworkDrape(vertices.astype(np.float64) + self._shape.root, jet, rotation, centre, self._shape.root)
+
+    def moving(
+        self, garment: Garment, poses: np.ndarray, trans: np.ndarray, fps: float, *, motion: float = 1.0
+    ) -> np.ndarray:
+        """Vertices [m] (F, V, 3) float32 relative to the root joint, frame by frame as a stream gets them.
+
+        The body moves by ``poses`` (F, 24, 3) [rad] and ``trans`` (F, 3) [m]; a dynamic model's code of that motion
+        counts by ``motion``, from 0 to 1.
+        """
+        rows, at, memory = self._shape.rows(poses), kinematics(self._body, poses, trans), Memory.empty(self.engine)
+        found, plan = [], replace(self._plan, shape="vertices")
+        with self._stored(garment) as key:
+            for i in range(len(poses)):
+                arrays = {name: value[i : i + 1] for name, value in rows.items()}
+                if self.engine.dynamic:
+                    if motion > 0.0:
+                        (memory,) = advance(self.engine, [memory], [Moment(i / fps, at[i])])
+                    arrays["dynamic_code"] = np.float32(motion) * memory.code[None]
+                found.append(self._packer.run(plan, arrays, [(key, 0)])[0].arrays["vertices"])
+        return np.stack(found)
 
     @contextmanager
     def _stored(self, garment: Garment) -> Iterator[str]:

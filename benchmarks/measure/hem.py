@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.tables import Row
 from drape.geometry import meshes
 
 HEM_SHARE = 0.1  # of the garment's height, from below, in which a boundary is a hem
+SETTLED_M = 0.005  # a hem nearer to its place is at rest
 
 
 def hem_vertices(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -37,3 +39,23 @@ def hang_mm(vertices: np.ndarray, skinned: np.ndarray, rest: np.ndarray, faces: 
         return np.full(len(vertices), np.nan)
     lower_m = skinned[:, hem, 1].astype(np.float64) - vertices[:, hem, 1]
     return 1e3 * lower_m @ length_m[hem] / length_m[hem].sum()
+
+
+def swinging(parts: np.ndarray, fps: float) -> Row:
+    """How the middles of a hem's ``parts`` [m] (F, P, 3) come to rest on a body that stands: ``settle_s``, after which
+    they stay within ``SETTLED_M`` (RMS) of their last place; along the way on which they move most ``period_s``, twice
+    the time between two passes through that place, and ``over``, the largest way beyond it over the largest before. NaN
+    for the last two where none of them swings by more than ``SETTLED_M``."""
+    off = parts - parts[-1]
+    far = np.flatnonzero(np.sqrt((off**2).sum(axis=2).mean(axis=1)) > SETTLED_M)
+    flat = off.reshape(len(off), -1) / np.sqrt(off.shape[1])
+    along = flat @ np.linalg.svd(flat, full_matrices=False)[2][0]
+    told = {"settle_s": float((far[-1] + 1) / fps) if len(far) else 0.0, "period_s": np.nan, "over": np.nan}
+    passes = np.flatnonzero(np.diff(np.sign(along)) != 0)
+    lobes = [np.abs(lobe).max() for lobe in np.split(along, passes + 1)]
+    if len(passes) and max(lobes) > SETTLED_M:
+        first = int(np.argmax(lobes[:-1]))
+        told["over"] = float(lobes[first + 1] / lobes[first])
+        if first + 1 < len(passes):
+            told["period_s"] = 2.0 * float(passes[first + 1] - passes[first]) / fps
+    return told

@@ -41,9 +41,11 @@ class At(Protocol):
 Place = TypeVar("Place", bound=At)
 
 
-def inverse(cloth: ClothMesh, material: Material) -> Callable[[np.ndarray], np.ndarray]:
-    """K^-1 of ``cloth`` of ``material``, as a function of forces [N] (V, 3)."""
-    matrix: Any = stiffness(cloth, material, np.zeros(cloth.vertex_count))
+def inverse(
+    cloth: ClothMesh, material: Material, *, n_per_m: np.ndarray | None = None
+) -> Callable[[np.ndarray], np.ndarray]:
+    """K^-1 of ``cloth`` of ``material``, as a function of forces [N] (V, 3); ``n_per_m`` (V,) springs are in K too."""
+    matrix: Any = stiffness(cloth, material, np.zeros(cloth.vertex_count) if n_per_m is None else n_per_m)
     factor = scipy.sparse.linalg.splu(
         matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     )
