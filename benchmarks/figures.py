@@ -130,7 +130,7 @@ def frame(records: Records) -> str:
 
 def threads(records: Records) -> str:
     """Returns a Markdown table of frames a second, of two streams and of a clip, on one thread and on two."""
-    record, lines = records["frame"], []
+    record, lines = records["frame_views"], []
     rows = [row for row in record["rows"] if row["kind"] == "threads"]
     for garment, what in dict.fromkeys((row["garment"], row["what"]) for row in rows):
         one, two = sorted((row for row in rows if (row["garment"], row["what"]) == (garment, what)), key=_threads)
@@ -194,9 +194,9 @@ def views(records: Records) -> str:
         "garment": ("garment", "s"), "case": ("case", "s"), "what": ("what", "s"), "full_ms": ("in full [ms]", ".1f"),
         "cpu_ms": ("so [ms]", ".2f"), "saving": ("saved", ".0%"),
     }  # fmt: skip
-    rows = [row for row in records["frame"]["rows"] if row["kind"] == "view"]
+    rows = [row for row in records["frame_views"]["rows"] if row["kind"] == "view"]
     rows = [row | {"saving": round(row["saving"], 2) + 0.0} for row in rows]  # no negative zero
-    return f"{rows_table(columns, rows)}\n\n{measured_on(records['frame'], 'performance.md#frame-views')}"
+    return f"{rows_table(columns, rows)}\n\n{measured_on(records['frame_views'], 'performance.md#frame-views')}"
 
 
 BLOCKS: dict[str, Callable[[Records], str]] = {

@@ -1,26 +1,19 @@
-"""Where the milliseconds of a stream's frame go, what a second thread gives, and what need not be computed saves.
+"""Where the milliseconds of a stream's frame go.
 
     python -m benchmarks.frame [--quick] [--save]
 
-Rows "kernel": a walk in jersey with motion, as a stream has it, by stage and function of the engine; ``Python`` is the
-rest of the stage, NumPy with it. Times are medians over frames, ``share`` is of the frame. ``floor_ms``: bytes of all
+A walk in jersey with motion, as a stream has it, by stage and function of the engine; ``Python`` is the rest of the
+stage, NumPy with it. Times are medians over frames, ``share`` is of the frame. ``floor_ms``: bytes of all
 arrays that a function is given at this machine's rate of copying as many, or the multiply-adds of its matrices
 at its rate of a large product, whichever takes longer. Kernels below a hundredth of the frame stand together. The row
 of the stage ``frame`` is the whole, its ``share`` what the rows add up to; they are of a frame stage by stage.
 ``bare_ms`` is a stream beside it as it is served: in one call a frame, where the engine has all of its stages.
-
-Rows "threads": two streams' frames, and a clip, on one thread and on two. Rows "view": scenes of which less is asked;
-``full_ms`` is the same in full, side by side, and ``saving`` the share of processor time that this saves.
 """
 
 from __future__ import annotations
 
-import asyncio
-import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -43,24 +36,17 @@ from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.catalog import find_motions
 from drape.motion.readers import read_motion
-from drape.stages.batch import PoseInput
-from drape.stages.encode import REST_FRAMES, REST_S
 from drape.stages.plan import Plan
-from drape.stages.scene import Outfit
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
 FABRIC = "jersey"
 WARM, PART = 12, 6  # frames before the first that counts; frames of one stream before those of the one beside it
-ROUNDS = 4  # of a measurement in threads, the fastest of which counts: another process may hold the second core
-REST = max(REST_FRAMES, int(REST_S * FPS)) + 2  # frames until a body that stands has come to rest
 OTHERS, LEAST_SHARE = "others", 0.01
-OUTFIT = ("trousers", "tshirt")
 COLUMNS = {
-    "kind": "s", "garment": "s", "tier": "s", "stage": "s", "kernel": "s", "case": "s", "what": "s", "threads": "d",
-    "calls": ".0f", "cpu_ms": ".3f", "wall_ms": ".3f", "share": ".3f", "floor_ms": ".4f", "bare_ms": ".3f",
-    "frames_per_s": ".0f", "full_ms": ".3f", "saving": ".2f",
+    "garment": "s", "tier": "s", "stage": "s", "kernel": "s", "calls": ".0f", "cpu_ms": ".3f", "wall_ms": ".3f",
+    "share": ".3f", "floor_ms": ".4f", "bare_ms": ".3f",
 }  # fmt: skip
 
 
@@ -72,11 +58,10 @@ class FrameBench:
     poses: np.ndarray
     frames: int
 
-    def plan(self, garments: Sequence[str], **options: Any) -> Plan:
-        """The plan of a stream of ``garments`` in jersey."""
-        worn = [self.drapery.garments.get(name) for name in garments]
-        scene = worn[0] if len(worn) == 1 else Outfit(tuple(worn))
-        plan = self.drapery.plan(scene, DrapeOptions(fabric=FABRIC, **options), messages=True)
+    def plan(self, garment: str, tier: str) -> Plan:
+        """The plan of a stream of ``garment`` in jersey."""
+        options = DrapeOptions.model_validate({"fabric": FABRIC, "tier": tier})
+        plan = self.drapery.plan(self.drapery.garments.get(garment), options, messages=True)
         self.drapery.add_missing(plan)
         return plan
 
@@ -89,18 +74,15 @@ class FrameBench:
         turn = frame % (2 * len(self.poses) - 2)
         return self.poses[turn if turn < len(self.poses) else 2 * len(self.poses) - 2 - turn]
 
-    def parts(self, warm: int = WARM) -> Iterator[range]:
-        """The frames of a stream, ``PART`` by ``PART``; ``warm`` come first and do not count."""
-        last = warm + self.frames
+    def parts(self) -> Iterator[range]:
+        """The frames of a stream, ``PART`` by ``PART``; ``WARM`` come first and do not count."""
+        last = WARM + self.frames
         return (range(first, min(last, first + PART)) for first in range(0, last, PART))
-
-
-# --- by stage and kernel ----------------------------------------------------------------------------------------------
 
 
 def kernel_rows(bench: FrameBench, garment: str, tier: str) -> list[Row]:
     """The rows of all stages and kernels of one stream, and of the whole frame."""
-    plan, trace = bench.plan([garment], tier=tier), Trace()
+    plan, trace = bench.plan(garment, tier), Trace()
     bare, seen = bench.stream(plan), bench.stream(plan, took=trace.took, staged=True)
     for part in bench.parts():
         for frame in part:
@@ -179,135 +161,24 @@ def _together(rows: Sequence[Row]) -> list[Row]:
     return found
 
 
-# --- threads ----------------------------------------------------------------------------------------------------------
-
-
-def stream_thread_rows(bench: FrameBench, garment: str) -> Iterator[Row]:
-    """Frames of two streams, one after the other on one thread, and at once on two."""
-    plan = bench.plan([garment])
-    for threads in (1, 2):
-        took = _driven(bench, [bench.stream(plan) for _ in range(2)], threads)
-        yield _threads_row(garment, "two streams", threads, took, 2 * bench.frames)
-
-
-def _driven(bench: FrameBench, streams: Sequence[Stream], threads: int) -> tuple[float, float]:
-    """Wall and processor time [s] of the frames of all ``streams``, each on one of so many ``threads``."""
-
-    def drive(stream: Stream, frames: range) -> None:
-        for frame in frames:
-            stream.pose(bench.pose(frame), frame / FPS)
-
-    first = range(WARM, WARM + ROUNDS * bench.frames, bench.frames)
-    with ThreadPoolExecutor(threads) as pool:
-
-        def together(frames: range) -> tuple[float, float]:
-            return _timed(lambda: list(pool.map(partial(drive, frames=frames), streams)))
-
-        together(range(WARM))
-        return min(together(range(start, start + bench.frames)) for start in first)
-
-
-def clip_thread_row(bench: FrameBench, garment: str, threads: int) -> Row:
-    """Returns the row of a clip whose network runs on ``threads`` threads."""
-    plan, count = bench.plan([garment]), bench.frames
-    poses = np.stack([bench.pose(frame) for frame in range(count)])
-    clip = PoseInput(
-        poses, np.zeros((count, 3)), np.zeros(bench.drapery.body.shape_count), np.arange(count, dtype=float) / FPS
-    )
-    took = [_timed(lambda: asyncio.run(bench.drapery.drape(plan, clip))) for _ in range(1 + ROUNDS)]
-    return _threads_row(garment, f"clip of {count}", threads, min(took[1:]), count)  # the first one prepares
-
-
-def _timed(work: Callable[[], object]) -> tuple[float, float]:
-    """Wall and processor time [s] of ``work``."""
-    wall, cpu = time.perf_counter(), time.process_time()
-    work()
-    return time.perf_counter() - wall, time.process_time() - cpu
-
-
-def _threads_row(garment: str, what: str, threads: int, took: tuple[float, float], frames: int) -> Row:
-    wall_ms, cpu_ms = (1e3 * spent_s / frames for spent_s in took)
-    named = {"kind": "threads", "garment": garment, "what": what, "threads": threads}
-    return {**named, "cpu_ms": cpu_ms, "wall_ms": wall_ms, "frames_per_s": 1e3 / wall_ms}
-
-
-# --- what need not be computed ----------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """A scene of ``garments`` under the options ``full``, and ``what`` is less in it: the options ``less``, or a body
-    that does not move as in full. ``pose`` gives the pose of a frame, and ``warm`` frames come before those that count;
-    ``moving`` is the pose in full, where that is another."""
-
-    case: str
-    what: str
-    garments: Sequence[str]
-    pose: Callable[[int], np.ndarray]
-    full: dict[str, Any]
-    less: dict[str, Any]
-    warm: int = WARM
-    moving: Callable[[int], np.ndarray] | None = None
-
-
-def frame_views(bench: FrameBench) -> Iterator[View]:
-    """Distance, hidden garments, and a body that stands."""
-    walk, shirt, far = bench.pose, ["tshirt"], {"pixels_per_m": 50.0}
-    yield View("distance", "far away", shirt, walk, {}, far)
-    bare = {"motion": 0.0, "advanced": {"push_out": False}}
-    yield View("distance", "far away, no motion, no push-out", shirt, walk, {}, far | bare)
-    for unfelt, said in (({}, ""), ({"cloth_contact": False}, ", layers do not feel each other")):
-        apart = {"advanced": unfelt}
-        for hidden in OUTFIT:
-            yield View("hidden", f"{hidden}{said}", OUTFIT, walk, apart, apart | {"hidden": (hidden,)})
-        alone = {"advanced": unfelt | {"push_out": False}}
-        if unfelt:
-            yield View("hidden", f"trousers{said}, no push-out", OUTFIT, walk, alone, alone | {"hidden": ("trousers",)})
-    stands = lambda _: bench.poses[0]  # noqa: E731
-    yield View("still", "stands, before its cloth rests", shirt, stands, {}, {}, moving=walk)
-    yield View("still", "stands, its cloth at rest", shirt, stands, {}, {}, REST, moving=walk)
-
-
-def view_row(bench: FrameBench, view: View) -> Row:
-    """Returns the row of a view: the time of a frame with less, beside that of a frame in full."""
-    pairs = ((view.full, view.moving or view.pose), (view.less, view.pose))
-    streams = [(bench.stream(bench.plan(view.garments, **options)), pose) for options, pose in pairs]
-    for part in bench.parts(view.warm):
-        for stream, pose in streams:
-            for frame in part:
-                stream.message(pose(frame), frame / FPS)
-    full_ms, cpu_ms = (float(np.median(stream.clock.cpu_ms[view.warm :])) for stream, _ in streams)
-    took = {"full_ms": full_ms, "cpu_ms": cpu_ms, "saving": 1.0 - cpu_ms / full_ms}
-    return {"kind": "view", "garment": " + ".join(view.garments), "case": view.case, "what": view.what, **took}
-
-
 @Benchmark(
     "frame",
-    "Where the milliseconds of a frame go, and what is saved of them.",
+    "Where the milliseconds of a frame go.",
     COLUMNS,
     *inputs(("tshirt", "dress"), quick_garments=("tshirt",)),
-    Option("--tiers", ("fast", "balanced", "accurate"), "of the rows by kernel", ("fast",)),
+    Option("--tiers", ("fast", "balanced", "accurate"), "that are measured", ("fast",)),
     Option("--frames", 64, "of each stream that count", 24),
 )
 def main(run: Run) -> None:
-    """Measures kernels, threads, and frames that need not compute all, and adds their rows to ``run``."""
-    options, body, folder = run.options, load_body(), model_folder(run.options.model)
+    """Adds to ``run`` the rows of every garment in every tier."""
+    options, folder = run.options, model_folder(run.options.model)
     poses = at_rate(read_motion(find_motions(options.motions or ["walk"])[0]), FPS).poses
-
-    def bench(threads: int) -> FrameBench:
-        settings = Settings(model=str(folder), threads=threads)
-        return FrameBench(DrapeRuntime(settings, body=body), poses, options.frames)
-
-    alone, both = bench(1), bench(2)
+    drapery = DrapeRuntime(Settings(model=str(folder), threads=1), body=load_body())
+    bench = FrameBench(drapery, poses, options.frames)
     for garment in options.garments:
         for tier in options.tiers:
-            run.add(kernel_rows(alone, garment, tier))
-    for garment in options.garments:
-        run.add(stream_thread_rows(alone, garment))
-        run.add(clip_thread_row(one, garment, threads) for threads, one in ((1, alone), (2, both)))
-    run.add(view_row(alone, view) for view in frame_views(alone))
-    for one in (alone, both):
-        one.drapery.close()
+            run.add(kernel_rows(bench, garment, tier))
+    drapery.close()
     run.extra |= {"frames": options.frames, "model": options.model, "gemm_gflops": 2e-9 * multiply_adds_per_s(1)}
 
 

@@ -57,19 +57,12 @@ class Option:
     kind: Callable[[str], Any] | None = None
     choices: Collection[str] | None = None
 
-    @property
-    def name(self) -> str:
-        """The attribute of the options that holds the value."""
-        return self.flag.removeprefix("--").replace("-", "_")
-
-    def value(self, *, quick: bool) -> Any:
-        """The value where the flag is not given."""
-        return self.quick if quick and self.quick is not AS_ALWAYS else self.default
-
-    def add_to(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the flag; its default is None until ``--quick`` is known."""
+    def add_to(self, parser: argparse.ArgumentParser, *, quick: bool) -> None:
+        """Declares the flag."""
+        default = self.quick if quick and self.quick is not AS_ALWAYS else self.default
+        text = self.help.replace("%", "%%")
         if self.default is False:
-            parser.add_argument(self.flag, action="store_true", default=None, help=self.help)
+            parser.add_argument(self.flag, action="store_true", default=default, help=text)
             return
         several = isinstance(self.default, tuple)
         kind = self.kind or type(self.default[0] if several and self.default else self.default or "")
@@ -77,19 +70,10 @@ class Option:
             self.flag,
             type=str if kind is tuple else kind,
             nargs="+" if several else None,
+            default=default,
             choices=None if self.choices is None else list(self.choices),
-            help=self._told(),
+            help=text if default in (None, ()) else f"{text} (default %(default)s)".strip(),
         )
-
-    def _told(self) -> str:
-        told = [f"default {_words(self.default)}"] if self.default not in (None, ()) else []
-        told += [f"quick {_words(self.quick)}"] if self.quick not in (AS_ALWAYS, None, ()) else []
-        text = self.help.replace("%", "%%")
-        return f"{text} ({', '.join(told)})".strip() if told else text
-
-
-def _words(value: Any) -> str:
-    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value).replace("%", "%%")
 
 
 def inputs(
@@ -156,16 +140,14 @@ class Command:
     def parse(self, arguments: Sequence[str] | None = None) -> argparse.Namespace:
         """The options that ``arguments`` ask for; ``words`` are the arguments themselves."""
         words = list(sys.argv[1:] if arguments is None else arguments)
+        quick = argparse.ArgumentParser(add_help=False)
+        quick.add_argument("--quick", action="store_true", help="a small form that ends within about a minute")
         parser = argparse.ArgumentParser(
-            prog=f"python -m {module(self._bench.name)}", description=self._bench.description
+            prog=f"python -m {module(self._bench.name)}", description=self._bench.description, parents=[quick]
         )
-        parser.add_argument("--quick", action="store_true", help="a small form that ends within about a minute")
         for option in self._bench.options:
-            option.add_to(parser)
+            option.add_to(parser, quick=quick.parse_known_args(words)[0].quick)
         options = parser.parse_args(words)
-        for option in self._bench.options:
-            if getattr(options, option.name) is None:
-                setattr(options, option.name, option.value(quick=options.quick))
         options.words = words
         return options
 

@@ -10,7 +10,6 @@ import numpy as np
 from benchmarks.stopwatch import Clock
 from drape.garment.cache import Garment
 from drape.stages.batch import Batch, Memories, PoseInput
-from drape.stages.encode import answer_again, idle_before, remember
 from drape.stages.plan import Plan
 from drape.stages.scene import Entry, Outfit
 from drape.stages.walk import Took, by_stages, walk
@@ -54,19 +53,6 @@ class Stream:
     def pose(self, pose: np.ndarray, time_s: float) -> Batch:
         """The drape of ``pose`` (24, 3) at ``time_s`` on the body of mean shape, its root in its place."""
         return self.frame(self._input(pose, time_s))
-
-    def message(self, pose: np.ndarray, time_s: float) -> bytes:
-        """The message of the frame of ``pose``, timed: for a body that has come to rest the last one again."""
-        one = replace(self._input(pose, time_s), memories=self.memories)
-        with self.clock:
-            before = idle_before(self.plan, one)
-            again = answer_again(self.plan, one, before)
-            if again is None:
-                *_, batch = self._walk(self.plan, [one], self.took)
-                message = batch.messages[0]
-                again = message, remember(self.plan, one, before, batch.memories[0], message)
-        message, self.memories = again
-        return message
 
     def forget(self) -> None:
         """Leaves the next frame without a past."""

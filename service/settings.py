@@ -33,21 +33,6 @@ def built(page: str) -> Path:
 PAGE = built("dist")
 # Variables that begin as settings do and are read elsewhere in the product, and in its tests.
 OTHERS = ("BPY", "CACHE", "CURVATURE", "DATA", "ENGINE", "ISA", "KEY", "SYSTEM", "TEST_RUN", "URL")
-# Settings of before, and what to do where one is still set.
-GONE = dict.fromkeys(
-    (
-        *("BODY_BYTES_S", "BODY_IDLE_S", "BUCKETS", "CAPTURE", "CLEARANCE_M", "CLIP_WAIT_S", "EXACT_FRAME_S"),
-        *("GPU_MEMORY_MB", "HALF", "HEAD_S", "MAX_HELD_BYTES", "MAX_PASTS", "MOTION_S", "PAGE_DIR", "PAST_S", "READ_S"),
-        *("STREAM_ACK_S", "STREAM_CREDIT", "STREAM_MESSAGE_BYTES", "STREAM_OPEN_S", "STREAM_SEND_S"),
-        "STREAM_STATE_BYTES",
-    ),
-    "Unset it: it is the same for every service now.",
-) | {
-    "EXACT_QUEUE": "Set DRAPE_INTAKE_QUEUE, which holds for clips of tier exact too.",
-    "MODELS_DIR": "Name the model's folder in DRAPE_MODEL.",
-    "PASSES": "Set DRAPE_TIER, or let requests say advanced.passes.",
-    "PUSH_OUT": "Let requests say advanced.push_out.",
-}
 
 
 class Settings(BaseSettings):
@@ -129,10 +114,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def load_settings(**overrides: object) -> Settings:
-    """The settings from the environment, ``overrides`` first; raises ``InputError`` for the first bad value, and for a
-    variable that is no setting any more."""
-    for name in GONE.keys() & _said():
-        raise InputError(f"DRAPE_{name}", expected="no such variable", got="one", cure=GONE[name])
+    """The settings from the environment, ``overrides`` first; raises ``InputError`` for the first bad value."""
     try:
         return Settings(**overrides)  # pyright: ignore[reportArgumentType]
     except ValidationError as error:
@@ -149,9 +131,5 @@ def load_settings(**overrides: object) -> Settings:
 def unread_variables() -> list[str]:
     """The variables of the environment that begin as settings do and that nothing reads."""
     known = {name.upper() for name in Settings.model_fields} | {*OTHERS}
-    return sorted(f"DRAPE_{name}" for name in _said() - known)
-
-
-def _said() -> set[str]:
-    """What follows ``DRAPE_`` in the names of the environment."""
-    return {name.upper().removeprefix("DRAPE_") for name in os.environ if name.upper().startswith("DRAPE_")}
+    said = {name.upper().removeprefix("DRAPE_") for name in os.environ if name.upper().startswith("DRAPE_")}
+    return sorted(f"DRAPE_{name}" for name in said - known)

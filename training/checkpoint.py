@@ -41,16 +41,9 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Any], TrainConfig]:
 
 def config_from(data: dict[str, Any]) -> TrainConfig:
     """The configuration from its dictionary form; lists become tuples again."""
-
     data = dict(data)
-    data.pop("compile", None)  # checkpoints from before it was dropped have it
-    model, drawn = model_config_from(data.pop("model")), _tuples(data.pop("data"))
-    if "patch_jitter" in drawn:  # as above: patch counts varied by this share
-        share = drawn.pop("patch_jitter")
-        drawn["patch_range"] = (1.0 - share, 1.0 + share)
-    inputs = DataConfig(**drawn)
-    motion = MotionConfig(**_tuples(data.pop("motion", {})))  # checkpoints from before it was there have none
-    return TrainConfig(model=model, data=inputs, motion=motion, **_tuples(data))
+    model, inputs = model_config_from(data.pop("model")), DataConfig(**_tuples(data.pop("data")))
+    return TrainConfig(model=model, data=inputs, motion=MotionConfig(**_tuples(data.pop("motion"))), **_tuples(data))
 
 
 def model_config_from(data: dict[str, Any]) -> ModelConfig:
@@ -59,7 +52,7 @@ def model_config_from(data: dict[str, Any]) -> ModelConfig:
     Raises ``ValueError`` for a network without a part that its variant has now.
     """
     sizes = {name: value for name, value in _tuples(data).items() if name not in FORMER_SWITCHES}
-    config = ModelConfig(**{"fabric": False, **sizes})  # networks from before fabrics do not name it
+    config = ModelConfig(**sizes)
     odd = [name for name in FORMER_SWITCHES if data.get(name, config.vector) != config.vector]
     if odd:
         raise ValueError(f"{odd[0]}: expected {config.vector} with variant {config.variant!r}. Train it anew.")

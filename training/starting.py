@@ -71,7 +71,7 @@ def start_from(
 
 def finetuned(model: Path, garments: list[str] | None) -> tuple[TrainConfig, Weights]:
     """The configuration that goes on training ``model`` on ``garments`` alone, or else on the shipped preset's, and its
-    weights. A model from before fabrics learns them from here on.
+    weights.
 
     A dynamic model's static drape is trained; --preset dynamic adds motion to the result.
     """
@@ -79,7 +79,7 @@ def finetuned(model: Path, garments: list[str] | None) -> tuple[TrainConfig, Wei
     config = with_garments(finetune(), garments) if garments else continuation()
     static = {name: value for name, value in weights.items() if not name.startswith("dynamic.")}
     data = replace(config.data, held_out=held_out)
-    return replace(config, model=replace(sizes, dynamic=False, fabric=sizes.variant == "vector"), data=data), static
+    return replace(config, model=replace(sizes, dynamic=False), data=data), static
 
 
 def with_garments(config: TrainConfig, garments: list[str] | None) -> TrainConfig:

@@ -237,7 +237,7 @@ class BaseTrainer:
 def take_weights(model: OneFit, weights: Mapping[str, Tensor]) -> None:
     """Loads ``weights`` into ``model``. Weights of a static model leave the recurrent encoder as it is."""
     try:
-        missing, unknown = model.load_state_dict(_widened(weights, model), strict=False)
+        missing, unknown = model.load_state_dict(weights, strict=False)
     except RuntimeError as error:
         missing, unknown = [], [" ".join(str(error).split())[:200]]
     strange = [*unknown, *(name for name in missing if not name.startswith("dynamic."))]
@@ -248,22 +248,6 @@ def take_weights(model: OneFit, weights: Mapping[str, Tensor]) -> None:
             got=", ".join(strange[:3]),
             cure="Take a checkpoint of the same architecture.",
         )
-
-
-def _widened(weights: Mapping[str, Tensor], model: OneFit) -> dict[str, Tensor]:
-    """``weights`` with columns of zeros for features of the garment encoder that their network did not have.
-
-    So the first drape is unchanged, whatever the fabric.
-    """
-    widened = dict(weights)
-    for name, wanted in model.garment.state_dict(prefix="garment.").items():
-        given = widened.get(name)
-        if given is None or given.shape == wanted.shape or given.shape[:-1] != wanted.shape[:-1]:
-            continue
-        neutral = torch.ones_like(wanted) if name.endswith("inverse_deviation") else torch.zeros_like(wanted)
-        neutral[..., : given.shape[-1]] = given
-        widened[name] = neutral
-    return widened
 
 
 class Trainer(BaseTrainer):

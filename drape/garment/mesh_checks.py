@@ -11,6 +11,7 @@ import itertools
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import igl
 import numpy as np
 
 from drape.arrays import check_finite
@@ -254,29 +255,26 @@ def orient_outward(mesh: GarmentMesh, avatar: Avatar) -> GarmentMesh:
 
 def consistent_turn(faces: np.ndarray) -> np.ndarray:
     """Which faces (F,) to reverse so that neighbours agree, the fewest per piece; refuses where none does it."""
-    halves, first, second = meshes.edge_pairs(faces)
-    clash = (halves[first, :2] == halves[second, :2]).all(axis=1)
-    if not clash.any():
-        return np.zeros(len(faces), dtype=bool)
-    # Two copies of every face, one reversed; a clash joins a face to its neighbour's reverse.
-    count = len(faces)
-    a, b = first // 3, second // 3
-    shift = np.where(clash, count, 0)
-    rows, columns = np.concatenate([a, a + count]), np.concatenate([b + shift, b + count - shift])
-    label = mesh_graphs.joined_parts(2 * count, rows, columns)
-    onesided = label[:count] == label[count:]
-    if onesided.any():
+    turn, piece = fewest_turned(faces)
+    halves, first, second = meshes.edge_pairs(np.where(turn[:, None], faces[:, ::-1], faces))
+    clash = halves[first, 0] == halves[second, 0]
+    if clash.any():
+        onesided = np.isin(piece, piece[first[clash] // 3])
         raise MeshError(
             "garment",
             expected="a surface with two sides",
             got=f"a one-sided (Moebius) piece at face {int(np.flatnonzero(onesided)[0])}",
             cure="Cut it open along a seam.",
         )
-    turn = np.zeros(count, dtype=bool)
-    for piece in np.unique(np.minimum(label[:count], label[count:])):
-        kept, reversed_ = label[:count] == piece, label[count:] == piece
-        turn |= reversed_ if reversed_.sum() <= kept.sum() else kept
     return turn
+
+
+def fewest_turned(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which faces (F,) to reverse so that neighbours agree, the fewest of each piece, and the piece (F,) of each; in a
+    one-sided piece some do not agree then. Edges have at most two faces."""
+    oriented, piece = map(np.asarray, igl.bfs_orient(np.ascontiguousarray(faces, dtype=np.int64)))
+    turn = (oriented != faces).any(axis=1)
+    return turn ^ (2 * np.bincount(piece, turn) > np.bincount(piece))[piece], piece
 
 
 def describe(mesh: GarmentMesh) -> list[str]:

@@ -194,11 +194,11 @@ def near_lines(
     near = np.zeros(len(points), dtype=bool)
     for number, line in lines:
         mine = np.flatnonzero(panel == number)
-        near[mine[_line_distance(points[mine], line) < within_m]] = True
+        near[mine[line_distance(points[mine], line) < within_m]] = True
     return near
 
 
-def _line_distance(points: np.ndarray, line: np.ndarray) -> np.ndarray:
+def line_distance(points: np.ndarray, line: np.ndarray) -> np.ndarray:
     """Distances [m] (N,) of ``points`` (N, 2) to the polyline ``line`` (M, 2)."""
     nearest = np.full(len(points), np.inf)
     for a, b in pairwise(line):

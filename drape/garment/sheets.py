@@ -11,11 +11,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import scipy.sparse
-from scipy.sparse import csgraph
 from scipy.spatial import KDTree
 
 from drape.garment.files.mesh import GarmentMesh
+from drape.garment.mesh_checks import fewest_turned
 from drape.geometry import closest, mesh_graphs, meshes
 
 COPY_SHARE = 1e-6  # of the extent: vertices nearer than this are one, written with other digits
@@ -119,30 +118,12 @@ def agreeing(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
 
     Only one-sided (Moebius) sheets have to be cut, across the strip. Edges have at most two faces.
     """
-    halves, first, second = meshes.edge_pairs(mesh.faces)
-    clash = halves[first, 0] == halves[second, 0]
-    if not clash.any():
-        return mesh, np.zeros((0, 3))
-    a, b = first // 3, second // 3
-    count = len(mesh.faces)
-    graph = scipy.sparse.coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count)).tocsr()
-    odd = scipy.sparse.coo_matrix((clash.astype(np.int8), (a, b)), shape=(count, count)).tocsr()
-    odd = odd + odd.T
-    turn = np.zeros(count, dtype=bool)
-    number, piece = csgraph.connected_components(graph, directed=False)
-    for label in range(number):
-        order, before = csgraph.breadth_first_order(graph, int((piece == label).argmax()), directed=False)
-        if len(order) == 1:  # SciPy takes no entries by empty lists
-            continue
-        step = np.asarray(odd[order[1:], before[order[1:]]]).reshape(-1) > 0
-        for face, parent, turned in zip(order[1:].tolist(), before[order[1:]].tolist(), step.tolist(), strict=True):
-            turn[face] = turn[parent] ^ turned
-        mine = piece == label
-        if 2 * int(turn[mine].sum()) > int(mine.sum()):
-            turn[mine] = ~turn[mine]
+    turn, _ = fewest_turned(mesh.faces)
     faces = np.where(turn[:, None], mesh.faces[:, ::-1], mesh.faces)
     halves, first, second = meshes.edge_pairs(faces)
     clash = halves[first, 0] == halves[second, 0]
+    if not (turn.any() or clash.any()):
+        return mesh, np.zeros((0, 3))
     turned = replace(mesh, faces=faces).noted(f"turned {int(turn.sum())} faces so that neighbours agree")
     if not clash.any():
         return turned, np.zeros((0, 3))

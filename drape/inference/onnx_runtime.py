@@ -24,7 +24,7 @@ Provider = Literal["cpu", "cuda"]
 
 PROVIDER_NAMES: dict[Provider, str] = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
-HOW_TO_INSTALL = "pip install onnxruntime or pip install 'onnxruntime-gpu[cuda,cudnn]'"
+HOW_TO_INSTALL = "pip install onnxruntime or pip install onnx 'onnxruntime-gpu[cuda,cudnn]'"
 
 
 MEMORY_BYTES = 4 << 30  # of a session's workspace on a GPU

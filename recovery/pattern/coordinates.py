@@ -9,13 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import igl
 import numpy as np
 
 from recovery.pattern import geometry
 from recovery.pattern.sewing_pattern import Edge, EdgeKind, Panel, Pattern
-
-ON_BOUNDARY = 1e-12  # of a side's length: nearer points are on it and interpolate its ends
-CHUNK = 2_000_000  # entries of the arrays held at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,35 +100,4 @@ def mean_value_weights(points: np.ndarray, cage: np.ndarray) -> np.ndarray:
     Rows sum to one and reproduce linear functions; on a side they interpolate its ends. In a polygon that is
     not convex some are negative.
     """
-    step = max(1, CHUNK // len(cage))
-    blocks = [_weights(points[first : first + step], cage) for first in range(0, len(points), step)]
-    return np.concatenate(blocks) if blocks else np.zeros((0, len(cage)))
-
-
-def _weights(points: np.ndarray, cage: np.ndarray) -> np.ndarray:
-    arm = cage[None] - points[:, None]  # (n, M, 2)
-    following = np.roll(arm, -1, axis=1)
-    length = np.linalg.norm(arm, axis=2)
-    product = length * np.roll(length, -1, axis=1)
-    cross = arm[..., 0] * following[..., 1] - arm[..., 1] * following[..., 0]
-    dot = (arm * following).sum(axis=2)
-    side = np.linalg.norm(np.roll(cage, -1, axis=0) - cage, axis=1)
-    on_corner = length <= ON_BOUNDARY * side
-    on_side = (np.abs(cross) <= ON_BOUNDARY * side**2) & (dot <= 0.0)
-    inner = ~(on_corner | on_side).any(axis=1)
-    # tan(angle / 2), each form where nothing cancels.
-    acute = dot >= 0.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        tangent = np.where(acute, cross / (product + dot), (product - dot) / cross)
-        weights = (np.roll(tangent, 1, axis=1) + tangent) / length
-        weights = weights / weights.sum(axis=1, keepdims=True)
-    for row in np.nonzero(~inner)[0]:
-        weights[row] = 0.0
-        if on_corner[row].any():
-            weights[row, on_corner[row].argmax()] = 1.0
-            continue
-        start = int(on_side[row].argmax())
-        end = (start + 1) % len(cage)
-        share = length[row, start] / (length[row, start] + length[row, end])
-        weights[row, [start, end]] = 1.0 - share, share
-    return weights
+    return np.asarray(igl.mvc(np.ascontiguousarray(points), np.ascontiguousarray(cage)))

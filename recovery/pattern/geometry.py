@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.errors import InputError
+from drape.garment.sewing import line_distance
 from recovery.pattern.sewing_pattern import Edge, EdgeKind, Panel, Pattern, Stitch
 
 QUADRATURE_NODES, PIECES = 64, 8
@@ -326,9 +327,4 @@ def inside(points: np.ndarray, polygon: np.ndarray) -> np.ndarray:
 
 def boundary_distance(points: np.ndarray, polygon: np.ndarray) -> np.ndarray:
     """Distances [m] (N,) of ``points`` (N, 2) to the sides of the closed ``polygon`` (M, 2)."""
-    nearest = np.full(len(points), np.inf)
-    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        along = b - a
-        share = np.clip((points - a) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
-        nearest = np.minimum(nearest, np.linalg.norm(points - a - share[:, None] * along, axis=1))
-    return nearest
+    return line_distance(points, np.concatenate([polygon, polygon[:1]]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import socket
 import subprocess
 import sys
@@ -13,7 +12,7 @@ import pytest
 
 from drape.errors import InputError, Unavailable
 from service.server import bind_listener
-from service.settings import GONE, Settings, load_settings, unread_variables
+from service.settings import Settings, load_settings, unread_variables
 from tests.architecture.repository import ROOT
 
 
@@ -42,14 +41,6 @@ def test_environment_sets_and_arguments_win(monkeypatch: pytest.MonkeyPatch):
 def test_a_bad_value_is_refused_by_name(monkeypatch: pytest.MonkeyPatch, name: str, value: str):
     monkeypatch.setenv(f"DRAPE_{name}", value)
     with pytest.raises(InputError, match=rf"^DRAPE_{name}: .*docs/guide/operate.md"):
-        load_settings()
-
-
-@pytest.mark.parametrize(("name", "cure"), GONE.items())
-def test_a_setting_of_before_stops_the_start_with_what_to_do(monkeypatch: pytest.MonkeyPatch, name: str, cure: str):
-    assert name.lower() not in Settings.model_fields
-    monkeypatch.setenv(f"DRAPE_{name}", "1")
-    with pytest.raises(InputError, match=rf"^DRAPE_{name}: expected no such variable, got one. {re.escape(cure)}"):
         load_settings()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import subprocess
 import sys
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -141,13 +141,6 @@ def test_rate_warms_up_then_falls(trainer: Trainer):
         trainer.step_count, trainer.elapsed_s = step, used
     assert start < top
     assert end == pytest.approx(TINY_RUN.final_rate, rel=1e-6)
-
-
-def test_a_checkpoint_from_before_patch_ranges_keeps_its_share():
-    stored = asdict(TINY_RUN)
-    del stored["data"]["patch_range"]
-    stored["data"]["patch_jitter"] = 0.25
-    assert checkpoint.config_from(stored).data.patch_range == (0.75, 1.25)
 
 
 def test_a_damaged_checkpoint_is_refused(tmp_path):

@@ -13,10 +13,8 @@ from numpy.testing import assert_allclose
 
 from drape.artifacts import MODELS_DIR, load_manifest
 from drape.catalog import MOTIONS_DIR
-from drape.cloth.fabric_table import fabric
 from drape.errors import ArtifactError, InputError
 from drape.garment.cache import GARMENTS_DIR
-from drape.garment.fabric_features import fabric_features
 from tests.fixtures.packed import MOVING, SMALL, exported, exported_dynamic
 from tests.training.training_setup import CPU, TINY, TINY_RUN
 from training import checkpoint, run
@@ -25,7 +23,6 @@ from training.onefit import OneFit
 from training.poses import read_training_clips
 from training.run import make_trainer
 from training.starting import finetuned, load_exported, read_model, start_from, with_garments
-from training.trainer import take_weights
 
 TANK, SHORTS = (str(next(GARMENTS_DIR.glob(f"{name}-*.npz"))) for name in ("tank", "shorts"))
 
@@ -189,17 +186,6 @@ def test_options_that_do_not_fit_are_refused(options: list[str], message: str, m
     monkeypatch.setattr("sys.argv", ["run", *options])
     assert run.main() == 2
     assert message in capsys.readouterr().err
-
-
-def test_a_model_from_before_fabrics_drapes_as_it_did_until_it_learns_them():
-    old, new = OneFit(replace(TINY, fabric=False)).eval(), OneFit(TINY).eval()
-    rows = torch.randn(5, TINY.patch_feature_count, generator=torch.Generator().manual_seed(1))
-    old.garment.standardise.set_from(rows)
-    take_weights(new, old.state_dict())
-    made_of = torch.from_numpy(fabric_features(fabric("denim"), np.ones((5, 2))))
-    with torch.no_grad():
-        found = new.garment(torch.cat([rows, made_of], dim=1))
-        assert_allclose(found, old.garment(rows), rtol=1e-5, atol=1e-6)  # sums of other lengths round apart
 
 
 def test_a_static_model_takes_over_the_motion_of_an_exported_one(tiny: tuple[OneFit, Path]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from onnx import TensorProto, helper, numpy_helper
 
-from drape.errors import ArtifactError
+from drape.errors import ArtifactError, Unavailable
 from drape.inference.subgraph import cut
 
 FLOAT, INT = TensorProto.FLOAT, TensorProto.INT32
@@ -119,6 +120,12 @@ def test_an_unknown_output_is_refused():
 def test_bytes_of_another_kind_are_refused(data: bytes):
     with pytest.raises(ArtifactError, match="an ONNX model"):
         cut(data, ["double"])
+
+
+def test_without_the_package_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(Unavailable, match="pip install onnx"):
+        cut(b"", ["double"])
 
 
 def test_control_flow_is_refused():
