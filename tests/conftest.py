@@ -115,6 +115,9 @@ def pytest_configure(config: pytest.Config) -> None:
     if RUN_FOLDER not in os.environ:
         _made.append(os.environ.setdefault(RUN_FOLDER, tempfile.mkdtemp(prefix="drape-tests-")))
 
+    # asyncio.run would set a handler of its own, and Python would print all that the run gave back to look that up.
+    signal.signal(signal.SIGINT, lambda number, frame: signal.default_int_handler(number, frame))
+
     # A client over HTTP reads the certificates of all authorities when it is made, which takes 40 ms of a processor
     # each time. None is asked for on this machine, so one certificate will do.
     if "SSL_CERT_FILE" not in os.environ:
