@@ -20,6 +20,7 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.compute.threads import SlicedThread
 from service.stream.session import StreamSession
 from service.stream.workers import Streams
+from tests.fixtures.patience import PATIENT_S
 
 REST = np.zeros((24, 3))
 
@@ -76,7 +77,7 @@ def test_a_frame_does_not_wait_for_what_is_computed_aside(make_runtime: Callable
         through = threading.Event()
         aside = asyncio.create_task(runtime.threads.aside(through.wait))
         await asyncio.sleep(0)
-        ((message, _),) = await asyncio.wait_for(runtime.stream_frames(plan, [rest_input()]), 30.0)
+        ((message, _),) = await asyncio.wait_for(runtime.stream_frames(plan, [rest_input()]), PATIENT_S)
         assert isinstance(message, bytes) and not aside.done()
         through.set()
         assert await aside
