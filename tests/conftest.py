@@ -115,6 +115,9 @@ def pytest_configure(config: pytest.Config) -> None:
     if RUN_FOLDER not in os.environ:
         _made.append(os.environ.setdefault(RUN_FOLDER, tempfile.mkdtemp(prefix="drape-tests-")))
 
+    # asyncio.run would set a handler of its own, and Python would print all that the run gave back to look that up.
+    signal.signal(signal.SIGINT, lambda number, frame: signal.default_int_handler(number, frame))
+
     # A client over HTTP reads the certificates of all authorities when it is made, which takes 40 ms of a processor
     # each time. None is asked for on this machine, so one certificate will do.
     if "SSL_CERT_FILE" not in os.environ:
@@ -149,12 +152,22 @@ def pytest_itemcollected(item: pytest.Item) -> None:
         item.add_marker("server" if names & EXPORTING else "unit")
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[Any]:
+    """Of two processes one imports from the end: what the other has compiled by then is not compiled again."""
+    report = yield
+    second = os.environ.get("PYTEST_XDIST_WORKER") == "gw1" and collector.config.getoption("stop_after") is None
+    if second and isinstance(collector, pytest.Dir):
+        report.result.reverse()
+    return report
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Folders with the longest files first: none of the processes is then left with a long one at the end. Files
     stay as they are named where time is short."""
     if config.getoption("stop_after") is None:
         places = {name: place for place, name in enumerate(LONGEST_FIRST)}
-        items.sort(key=lambda item: places.get(item.path.relative_to(ROOT).parts[1], len(places)))
+        items.sort(key=lambda item: (places.get(item.path.relative_to(ROOT).parts[1], len(places)), item.path))
 
 
 @pytest.hookimpl(wrapper=True)
@@ -275,8 +288,9 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: Any) -> None:
-    """Takes over what a process of pytest-xdist has counted: a file runs in one of them."""
-    _cpu_s.update(getattr(node, "workeroutput", {}).get("cpu_s", {}))
+    """Takes over what a process of pytest-xdist has counted."""
+    for file, spent_s in getattr(node, "workeroutput", {}).get("cpu_s", {}).items():
+        _cpu_s[file] += spent_s
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

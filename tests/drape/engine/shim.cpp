@@ -1,12 +1,11 @@
 // A driver of NVIDIA's that has no card: its entry points over this machine's memory. Launches are given to frames,
 // which tests set to the engine's emulation of threads. A call fails, or stops for a while, on command.
-#include <chrono>
-#include <cstdint>
-#include <cstdlib>
-#include <cstring>
-#include <mutex>
-#include <string>
-#include <thread>
+// It needs no library of C++, which the compiler would first have to compile for a minute.
+#include <pthread.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
 
 namespace {
 struct State {
@@ -16,15 +15,16 @@ struct State {
   int64_t backwards = 0, after = 0, launches = 0;
   int code = 0;
   double stops_s = 0;
-  std::string failing;
+  char failing[40] = "";
   int device = -1;  // that fails; any
 } state;
 thread_local int current = 0;
-std::mutex emulating;  // one launch at a time: emulated threads have one number
+pthread_mutex_t emulating = PTHREAD_MUTEX_INITIALIZER;  // one launch at a time: emulated threads have one number
 
 int called(const char* name) {
-  if (state.failing != name || (state.device >= 0 && state.device != current) || state.after-- > 0) return 0;
-  std::this_thread::sleep_for(std::chrono::duration<double>(state.stops_s));
+  if (strcmp(state.failing, name) || (state.device >= 0 && state.device != current) || state.after-- > 0) return 0;
+  const timespec stop{time_t(state.stops_s), long(1e9 * (state.stops_s - double(time_t(state.stops_s))))};
+  nanosleep(&stop, nullptr);
   state.after = 0;  // and from now on
   return state.code;
 }
@@ -43,7 +43,8 @@ void shim_draws_by(void (*frames)(uint64_t, int64_t, int64_t, int64_t), int64_t 
 }
 // The call of this name returns the code once it has been made so often, after so many seconds.
 void shim_fails(const char* name, int code, int64_t after, double stops_s, int device) {
-  state.failing = name, state.code = code, state.after = after, state.stops_s = stops_s, state.device = device;
+  strncpy(state.failing, name, sizeof state.failing - 1);
+  state.code = code, state.after = after, state.stops_s = stops_s, state.device = device;
 }
 int64_t shim_launches() { return state.launches; }
 
@@ -83,9 +84,10 @@ int cuModuleGetFunction(void** function, void*, const char*) { *function = &stat
 int cuLaunchKernel(void*, unsigned, unsigned, unsigned, unsigned threads, unsigned, unsigned, unsigned, void*,
                    void** given, void**) {
   CALL(cuLaunchKernel)
-  const std::lock_guard<std::mutex> alone(emulating);
+  pthread_mutex_lock(&emulating);
   ++state.launches;
   state.frames(*(const uint64_t*)given[0], *(const int64_t*)given[1], threads, state.backwards);
+  pthread_mutex_unlock(&emulating);
   return 0;
 }
 int cuEventCreate(void** event, unsigned) { *event = &state; return 0; }

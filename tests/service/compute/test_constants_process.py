@@ -32,6 +32,7 @@ from service.compute.constants_calls import receive, send
 from service.compute.constants_process import ConstantsProcess
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import ROOT, Settings
+from tests.fixtures.patience import PATIENT_S
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +115,7 @@ def test_the_process_ends_with_who_asked():
         send(process.stdin, (abs, (-2,), {}))
         assert receive(process.stdout) == (True, 2)
         process.stdin.close()
-        assert process.wait(timeout=30.0) == 0
+        assert process.wait(timeout=PATIENT_S) == 0
 
 
 def test_arrays_come_as_they_were(rng: np.random.Generator):

@@ -33,6 +33,7 @@ from service.guard.tickets import LIFE_S, Tickets
 from service.settings import Settings, check_exposed
 from tests.architecture.repository import ROOT
 from tests.fixtures.garments import tube_garment
+from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.serving import files_in, serve, served
 from tests.fixtures.streams import PROTOCOLS, stream_address
 
@@ -227,7 +228,7 @@ def test_a_deleted_garment_is_gone_from_service_disk_and_streams(
                 deleted = await asyncio.to_thread(httpx.delete, url + "/garments/gown")
                 try:
                     while True:
-                        await asyncio.wait_for(socket.recv(), 5.0)
+                        await asyncio.wait_for(socket.recv(), PATIENT_S)
                 except ConnectionClosed as closed:
                     return deleted.status_code, 0 if closed.rcvd is None else closed.rcvd.code
 

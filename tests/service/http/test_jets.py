@@ -34,6 +34,7 @@ from service.http.clip_jobs import RequestedClip
 from service.http.clip_routes import check_clip_size
 from service.http.schemas import ClipOptions
 from tests.fixtures.garments import ship
+from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import vertices_of
 from tests.fixtures.streams import RawStream, raw_stream
@@ -169,7 +170,7 @@ def test_a_stream_of_another_geometry_is_refused(outfit_url: str):
         said = stream.open(garment="tube", geometry="splats")
         assert said["type"] == "error" and said["name"] == "geometry" and "'vertices' or 'jets'" in said["expected"]
         with pytest.raises(ConnectionClosed) as closed:
-            stream.socket.recv(timeout=20.0)
+            stream.socket.recv(timeout=PATIENT_S)
         assert closed.value.rcvd is not None and closed.value.rcvd.code == 4400
 
 

@@ -17,6 +17,7 @@ from tests.fixtures.serving import serve_in_process
 from tests.fixtures.stream_gap import gaps_beside
 
 MIB = 2**20
+TRIES = 5
 
 
 @pytest.fixture(scope="module")
@@ -25,12 +26,20 @@ def url(make_settings: Callable[..., Settings]) -> Iterator[str]:
         yield address
 
 
+def through(url: str, ask: Callable[[], httpx.Response], *, within_s: float | None = None) -> httpx.Response:
+    """The answer of ``ask``; fails where a stream waits for it each time, as it does not for a busy machine."""
+    found = []
+    for _ in range(TRIES):
+        answer, gaps = gaps_beside(url, ask)
+        if gaps.beside_s < (gaps.bound_s if within_s is None else within_s):
+            return answer
+        found.append(gaps)
+    raise AssertionError(f"a stream waited: {found}")
+
+
 def beside(url: str, path: str, content: bytes, *, accept: str = "*/*") -> httpx.Response:
-    """The answer to ``content``; fails where a stream waited for it."""
     headers = {"Content-Type": "application/json", "Accept": accept}
-    answer, gaps = gaps_beside(url, lambda: httpx.post(url + path, content=content, headers=headers, timeout=300.0))
-    assert gaps.beside_s < gaps.bound_s, gaps
-    return answer
+    return through(url, lambda: httpx.post(url + path, content=content, headers=headers, timeout=300.0))
 
 
 def many(item: bytes, size: int) -> bytes:
@@ -78,12 +87,12 @@ def test_a_clip_lets_streams_through_however_long_its_chunks_may_be(make_setting
     content = json.dumps({"garment": "tube", "poses": poses.tolist()}).encode()
     headers = {"Content-Type": "application/json"}
     with serve_in_process(make_settings(chunk_frames=256)) as url:
-        for _ in range(2):  # the second without lazy set-up
-            start_s = time.monotonic()
-            whole = httpx.post(url + "/drape", content=content, headers=headers, timeout=300.0)
-            whole_s = time.monotonic() - start_s
-        answer, gaps = gaps_beside(
-            url, lambda: httpx.post(url + "/drape", content=content, headers=headers, timeout=300.0)
-        )
-    assert gaps.beside_s < 0.5 * whole_s, (gaps, whole_s)
+
+        def ask() -> httpx.Response:
+            return httpx.post(url + "/drape", content=content, headers=headers, timeout=300.0)
+
+        ask()  # lazy set-up
+        start_s = time.monotonic()
+        whole = ask()
+        answer = through(url, ask, within_s=0.5 * (time.monotonic() - start_s))
     assert answer.content == whole.content, "bits must not depend on the chunks"

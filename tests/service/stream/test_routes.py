@@ -54,7 +54,7 @@ async def send(
 
 
 async def frame(socket: ClientConnection, *, ack: bool = True) -> wire.Frame:
-    message = await asyncio.wait_for(socket.recv(), 10.0)
+    message = await asyncio.wait_for(socket.recv(), PATIENT_S)
     assert isinstance(message, bytes), message
     received = wire.unpack_frame(message)
     if ack:
@@ -67,7 +67,7 @@ async def shown_out(socket: ClientConnection) -> tuple[int, str, dict]:
     said: dict = {}
     while True:
         try:
-            message = await asyncio.wait_for(socket.recv(), 10.0)
+            message = await asyncio.wait_for(socket.recv(), PATIENT_S)
         except ConnectionClosed as closed:
             close = closed.rcvd
             break

@@ -107,7 +107,7 @@ def test_a_frame_does_not_wait_for_what_is_computed_aside(make_runtime: Callable
         through = threading.Event()
         aside = asyncio.create_task(runtime.threads.aside(through.wait))
         await asyncio.sleep(0)
-        ((message, _),) = await asyncio.wait_for(runtime.stream_frames(plan, [rest_input()]), 30.0)
+        ((message, _),) = await asyncio.wait_for(runtime.stream_frames(plan, [rest_input()]), PATIENT_S)
         assert isinstance(message, bytes) and not aside.done()
         through.set()
         assert await aside

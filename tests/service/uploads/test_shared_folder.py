@@ -30,7 +30,7 @@ from service.uploads.job_records import JobRecord
 from tests.fixtures.characters import bare_wearer
 from tests.fixtures.garments import tube_garment
 from tests.fixtures.meshes import garment_obj
-from tests.fixtures.patience import wait_until
+from tests.fixtures.patience import PATIENT_S, wait_until
 from tests.fixtures.serving import serve
 from tests.fixtures.streams import PROTOCOLS
 
@@ -129,7 +129,7 @@ def test_what_is_changed_or_deleted_at_one_is_at_the_other(
             await socket.send(json.dumps({"type": "open", "garment": "robe"}))
             await socket.recv()
             assert (await asyncio.to_thread(here.delete, "/garments/robe")).status_code == 204
-            await asyncio.wait_for(socket.wait_closed(), 10.0)
+            await asyncio.wait_for(socket.wait_closed(), PATIENT_S)
             return socket.close_code
 
     assert asyncio.run(worn()) == 4404

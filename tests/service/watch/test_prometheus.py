@@ -30,7 +30,7 @@ from service.watch import prometheus as service_metrics
 from service.watch.probes import MOST_CLIENTS, Lifecycle, Probes
 from service.watch.prometheus import Metrics
 from tests.architecture.repository import ROOT
-from tests.fixtures.patience import wait_until
+from tests.fixtures.patience import PATIENT_S, wait_until
 from tests.fixtures.streams import PROTOCOLS, stream_address
 
 REST = np.zeros((1, 24, 3)).tolist()
@@ -192,17 +192,19 @@ def test_readiness_follows_the_life_of_the_service_and_liveness_does_not():
 
 
 def test_a_loop_that_has_stopped_turning_is_told_by_the_probes_own_port():
-    life, metrics, lags = Lifecycle(stuck_s=2.0), Metrics(), []
+    life, metrics, lags = Lifecycle(stuck_s=PATIENT_S), Metrics(), []
     life.ready()
     with Probes(bind_listener("127.0.0.1", 0), life, metrics) as probes:
         url = f"http://127.0.0.1:{probes.server_address[1]}"
 
         async def turn_then_stop() -> httpx.Response:
             ticking = asyncio.create_task(life.tick(lags.append))
-            await asyncio.sleep(0.3)
+            while not lags:
+                await asyncio.sleep(0.02)
             turning = await asyncio.to_thread(httpx.get, url + "/livez")
             assert turning.status_code == 200
-            time.sleep(2.1)
+            life._stuck_s = 0.1
+            time.sleep(0.2)
             stuck = httpx.get(url + "/livez")
             assert httpx.get(url + "/readyz").status_code == 503
             ticking.cancel()
@@ -211,7 +213,7 @@ def test_a_loop_that_has_stopped_turning_is_told_by_the_probes_own_port():
         stuck = asyncio.run(turn_then_stop())
         assert stuck.status_code == 503
         assert stuck.headers["content-type"] == "application/problem+json"
-        assert "event loop: expected a turn within 2 s, got none for " in stuck.json()["detail"]
+        assert "event loop: expected a turn within 0.1 s, got none for " in stuck.json()["detail"]
         life.ended()
         assert httpx.get(url + "/livez").status_code == 200
         assert "drape_frames_total" in httpx.get(url + "/metrics").text
@@ -254,7 +256,7 @@ def test_a_start_answers_its_probes_while_it_loads(tiny_folder: Path):
                 time.sleep(0.02)
         finally:
             service.terminate()
-            _, said = service.communicate(timeout=30)
+            _, said = service.communicate(timeout=PATIENT_S)
     assert seen[0] == 503
     lines = [json.loads(line) for line in said.splitlines()]
     assert all(line["time"].endswith("Z") and line["level"] == "info" for line in lines)

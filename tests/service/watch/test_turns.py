@@ -78,7 +78,7 @@ def test_what_a_request_does_is_caused_by_its_path_also_in_its_tasks():
 
 def test_the_collector_is_a_cause_in_whichever_thread():
     async def collecting() -> None:
-        full = [[] for _ in range(1_000_000)]  # more than it looks through in a brief time
+        full = [[] for _ in range(300_000)]  # more than it looks through in a brief time
         await asyncio.to_thread(gc.collect)
         full.clear()
 
