@@ -34,8 +34,8 @@ _RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "mocap_frame_rate_hz", "fps
 def read_amass(path: Path) -> MotionClip:
     """The clip of an npz with ``poses``, ``trans`` and a frame rate, turned to y up.
 
-    Flat poses (F, 72 | 66 | 156 | 165) are AMASS's: z up; so are ``root_orient`` (F, 3) with ``pose_body`` (F, 63). Poses (F, 24, 3) are the
-    product's: y up. A key ``up`` ("y" or "z") overrules. Nothing is unpickled.
+    Flat poses (F, 72 | 66 | 156 | 165) are AMASS's: z up; so are ``root_orient`` (F, 3) with ``pose_body`` (F, 63).
+    Poses (F, 24, 3) are the product's: y up. A key ``up`` ("y" or "z") overrules. Nothing is unpickled.
     """
     path = Path(path)
     try:

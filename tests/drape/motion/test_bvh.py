@@ -101,7 +101,13 @@ def test_legs_of_no_person_in_a_unit_that_was_told_are_refused(wrote):
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
 def test_a_file_may_begin_with_a_mark_of_byte_order_and_name_joints_in_japanese(encoding, local, wrote):
     names = scheme_names("lafan")
-    japanese = {"LeftUpLeg": "左足", "LeftLeg": "左ひざ", "LeftFoot": "左足首", "LeftArm": "左腕", "LeftForeArm": "左ひじ"}
+    japanese = {
+        "LeftUpLeg": "左足",
+        "LeftLeg": "左ひざ",
+        "LeftFoot": "左足首",
+        "LeftArm": "左腕",
+        "LeftForeArm": "左ひじ",
+    }
     sides = japanese | {left.replace("Left", "Right"): word.replace("左", "右") for left, word in japanese.items()}
     path = wrote(names=[sides.get(name, name) for name in names])
     path.write_bytes(path.read_text().encode(encoding))

@@ -244,7 +244,9 @@ def test_every_scheme_names_all_joints(scheme):
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
-@pytest.mark.parametrize("affixes", [("Character1_", ""), ("Hero.01|", ""), ("", "_JNT"), ("ORG-", ".bind"), ("", "_{}")])
+@pytest.mark.parametrize(
+    "affixes", [("Character1_", ""), ("Hero.01|", ""), ("", "_JNT"), ("ORG-", ".bind"), ("", "_{}")]
+)
 def test_what_all_names_begin_or_end_with_is_no_part_of_them(scheme, affixes):
     # Exporters put a character's name before them, riggers a kind behind them, sites that show models a number.
     before, after = affixes
@@ -261,24 +263,31 @@ def test_names_without_affixes_keep_what_tells_sides_and_twists():
     assert found == {joint: index + 3 for index, joint in enumerate(BODY)}
 
 
-def test_second_life_and_advanced_skeleton_are_read():
-    limbs = ["hip", "knee", "ankle", "foot", "collar", "shoulder", "elbow", "wrist"]
-    trunk = ["pelvis", "spine1", "spine2", "spine3", "neck", "head"]
-    life = dict(zip(limbs, "mHip mKnee mAnkle mFoot mCollar mShoulder mElbow mWrist".split(), strict=True))
-    life |= dict(zip(trunk, "mPelvis mTorso mSpine3 mChest mNeck mHead".split(), strict=True))
-    maya = dict(zip(limbs, "Hip Knee Ankle Toes Scapula Shoulder Elbow Wrist".split(), strict=True))
-    maya |= dict(zip(trunk, "Root_M Spine1_M Spine2_M Chest_M Neck_M Head_M".split(), strict=True))
+LIMBS = ["hip", "knee", "ankle", "foot", "collar", "shoulder", "elbow", "wrist"]
+TRUNK = ["pelvis", "spine1", "spine2", "spine3", "neck", "head"]
 
-    def named(words, joint, written):
-        side, _, limb = joint.rpartition("_")
-        return written(words[limb], side) if side else words[joint]
 
-    for words, written in (
-        (life, lambda word, side: word + side.capitalize()),
-        (maya, lambda word, side: f"{word}_{side[0].upper()}"),
-    ):
-        found = match_joints([named(words, joint, written) for joint in BODY], PARENTS[:22], label="rig")
-        assert found == {joint: index for index, joint in enumerate(BODY)}
+@pytest.mark.parametrize(
+    ("limbs", "trunk", "written"),
+    [
+        (
+            "mHip mKnee mAnkle mFoot mCollar mShoulder mElbow mWrist",
+            "mPelvis mTorso mSpine3 mChest mNeck mHead",
+            lambda word, side: word + side.capitalize(),
+        ),
+        (
+            "Hip Knee Ankle Toes Scapula Shoulder Elbow Wrist",
+            "Root_M Spine1_M Spine2_M Chest_M Neck_M Head_M",
+            lambda word, side: f"{word}_{side[0].upper()}",
+        ),
+    ],
+    ids=["second life", "advanced skeleton"],
+)
+def test_more_schemes_are_read_whole(limbs, trunk, written):
+    words = dict(zip(LIMBS + TRUNK, f"{limbs} {trunk}".split(), strict=True))
+    sided = [joint.rpartition("_") for joint in BODY]
+    names = [written(words[limb], side) if side else words[limb] for side, _, limb in sided]
+    assert match_joints(names, PARENTS[:22], label="rig") == {joint: index for index, joint in enumerate(BODY)}
 
 
 def test_a_foot_of_five_toes_heads_for_the_second():
