@@ -32,6 +32,7 @@ FEW_HEAVY = 8  # vertices that are short: as many columns take less time than a 
 THROUGH_ROUNDS, THROUGH_M, THROUGH_STEPS = 20, 0.06, 16  # in which cloth leaves limbs that stick through it, how far
 FEW_SHARE, FEW_DEPTH_M = 0.03, 0.004  # of the cloth may be as deep in the skin in the end
 ALONG = 0.85  # cosine between the ways out of the body and of the cloth from which both are the same
+FACING = 4.0  # what looks into a limb, and has so many times its depth to go through it, did not come that way
 LOOKS_OUT = 0.75  # of a piece of cloth: less have inner walls, which look the other way
 GIVE_UP_DEPTH_M = 0.06  # no cloth was modelled so deep in its avatar: it belongs to another one
 
@@ -191,7 +192,10 @@ def _through(
     wanted: np.ndarray,
     body: ClosedMesh,
 ) -> np.ndarray:
-    """``wanted`` pushes [m] (N, 3), but along their normals for ``points`` in the body that look away from the skin."""
+    """``wanted`` pushes [m] (N, 3), but along their normals for ``points`` in the body that look away from the skin.
+
+    Facings, as of cuffs that are turned in, look into the limb from just below the skin, and leave as they came.
+    """
     normals = meshes.vertex_normals(points, faces)
     agreement = np.einsum("nc,nc->n", normals, direction)
     piece = mesh_graphs.connected_components(faces, len(points))
@@ -202,8 +206,10 @@ def _through(
     depth = body.signed_closest(along.reshape(-1, 3))[0].reshape(along.shape[:2])
     left = np.logical_or.accumulate(depth > 0.0, axis=1)
     clear = (depth > CLEARANCE_M) & ~np.logical_or.accumulate(left & (depth < 0.0), axis=1)  # before the next limb
-    ends, wanted = clear.any(axis=1), wanted.copy()
-    wanted[cloth[ends]] = steps[clear[ends].argmax(axis=1), None] * normals[cloth[ends]]
+    exit_m = steps[clear.argmax(axis=1)]
+    facing = (agreement[cloth] < 0.0) & (exit_m > FACING * -signed[cloth])
+    ends, wanted = clear.any(axis=1) & ~facing, wanted.copy()
+    wanted[cloth[ends]] = exit_m[ends, None] * normals[cloth[ends]]
     return wanted
 
 

@@ -31,6 +31,7 @@ from drape.files.pictures import with_remade
 from drape.forked import each
 from drape.garment import avatars
 from drape.garment.accessories import bones_that_carry
+from drape.garment.body_pieces import without_bodies
 from drape.garment.cache import FORMAT_VERSION, OWN_GARMENTS_DIR, Garment, load_garment, save_garment
 from drape.garment.clearance import CLEARANCE_M
 from drape.garment.cloth_layer import join_sheets
@@ -50,7 +51,7 @@ from drape.garment.strays import without_strays
 from drape.garment.wearer_pictures import pictured
 
 # Raised when cloth that was not modelled on the standard body comes to rest otherwise, as when another wearer is found.
-MOVED_VERSION = 9
+MOVED_VERSION = 10
 INTAKE_VERSION = 5  # raised when a change here changes the garments that come out
 _LATE_OPTIONS = ("patches", "rest", "fabric", "uv_unit_m")  # at their defaults they leave older digests as they were
 
@@ -203,7 +204,7 @@ def _made(
     with_uv = "with uv" if len(mesh.uv) else "no uv"
     say(f"read      {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, {with_uv}")
     check_arrays(mesh)
-    mesh = mesh if sewn is not None else without_strays(mesh)
+    mesh = mesh if sewn is not None else without_bodies(without_strays(mesh), body)
     sheets, model, wearer = modelled_on(mesh if sewn is not None else join_sheets(mesh), body, options, file.meaning)
     unnamed = "" if file.meaning is not None else " (none was named)"
     carriers = () if sewn is not None else bones_that_carry(with_used_vertices(sheets), model.vertices, body)

@@ -73,7 +73,7 @@ def _areas(mesh: GarmentMesh) -> tuple[float, float]:
 
 
 def check_cloth(mesh: GarmentMesh) -> None:
-    """Refuses (``MeshError``) rings, chains and the like, which tell neither a size nor where they are worn."""
+    """Refuses (``MeshError``) rings, chains, figures and the like, which tell no size and not where they are worn."""
     (solid, sheet), label = _areas(mesh), pieces_of(mesh.vertices, mesh.faces)[0]
     if sheet:
         return
@@ -84,8 +84,9 @@ def check_cloth(mesh: GarmentMesh) -> None:
         raise MeshError(
             "garment",
             expected="cloth, or jewellery in its place on a body whose root or feet are at the origin",
-            got="solids as thin as a ring, a chain or a bangle, which lie on no skin",
-            cure="Move it to where it is worn, or say whose body it lies on (avatar) and its unit (unit).",
+            got="solids that lie on no skin, as a ring, a chain or a bangle elsewhere, or a figure",
+            cure="Of a figure send the garment alone. Move jewellery to where it is worn, or say whose body it lies on "
+            "(avatar) and its unit (unit).",
         )
 
 

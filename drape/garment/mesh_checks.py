@@ -108,6 +108,13 @@ def check_arrays(mesh: GarmentMesh, *, vertex_limit: int = VERTEX_LIMIT) -> None
             cure="Export the garment's surface.",
         )
     check_count(mesh.name, len(mesh.vertices), vertex_limit)
+    if np.ptp(mesh.vertices, axis=0).max() == 0.0:
+        raise MeshError(
+            "garment",
+            expected="vertices at several places",
+            got=f"all of {len(mesh.faces)} faces at one",
+            cure="Look for an object or a node whose scale is 0 in what exported it.",
+        )
     if len(mesh.vertices) < VERTEX_MINIMUM:
         raise MeshError(
             "garment",

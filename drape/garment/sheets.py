@@ -32,7 +32,7 @@ SAMPLES = 400
 
 def without_copies(mesh: GarmentMesh) -> GarmentMesh:
     """Returns ``mesh`` with vertices that are nearly at one place made one."""
-    reach = COPY_SHARE * float(np.ptp(mesh.vertices, axis=0).max())
+    reach = COPY_SHARE * _extent(mesh)
     return _welded(mesh, KDTree(mesh.vertices).query_pairs(reach, output_type="ndarray"))
 
 
@@ -43,7 +43,7 @@ def without_cracks(mesh: GarmentMesh) -> GarmentMesh:
     Panels that were rounded each by itself, as by a compressed file, have cracks between them.
     """
     border = meshes.boundary_edges(mesh.faces)
-    reach = np.full(len(mesh.vertices), CRACK_SHARE * float(np.ptp(mesh.vertices, axis=0).max()))
+    reach = np.full(len(mesh.vertices), CRACK_SHARE * _extent(mesh))
     np.minimum.at(reach, border, CRACK_EDGES * meshes.edge_lengths(mesh.vertices, border)[:, None])
     own = np.unique(border)
     pairs = own[KDTree(mesh.vertices[own]).query_pairs(float(reach.max()), output_type="ndarray")]
@@ -52,6 +52,11 @@ def without_cracks(mesh: GarmentMesh) -> GarmentMesh:
     label = mesh_graphs.joined_parts(len(mesh.vertices), *pairs.T)
     ends, counts = np.unique(np.sort(label[border], axis=1), axis=0, return_counts=True)
     return _welded(mesh, pairs[np.isin(label[pairs[:, 0]], ends[counts > 1])])
+
+
+def _extent(mesh: GarmentMesh) -> float:
+    """The longest side of the box of the faces: vertices of none may lie anywhere."""
+    return float(np.ptp(mesh.vertices[mesh.faces], axis=(0, 1)).max())
 
 
 def _welded(mesh: GarmentMesh, pairs: np.ndarray) -> GarmentMesh:

@@ -123,7 +123,9 @@ class WearerCandidate:
         far = {name: float(np.linalg.norm(self.betas[:10] - SHAPES[name])) for name in ("man", "woman")}
         who = "a person" if abs(far["man"] - far["woman"]) < 0.8 else f"a {min(far, key=lambda name: far[name])}"
         names = {"m": "metres", "cm": "centimetres", "dm": "decimetres", "mm": "millimetres", "inch": "inches"}
-        unit = names.get(self.reading.unit, f"units of {100.0 * self.reading.scale:.3g} cm")
+        scale = self.reading.scale
+        size = f"{scale:.3g} m" if scale > 1.0 else f"{100.0 * scale:.3g} cm"
+        unit = names.get(self.reading.unit, f"units of {size}")
         arms = f"arms {self.arms_deg:.0f} degrees down" if self.sleeved else "arms not shown"
         axes = "" if self.reading.up == "+y" else f", {self.reading.up.lstrip('+')} up"
         return f"{who} of {self.height_m:.2f} m, {arms}, {unit}{axes}"

@@ -115,11 +115,14 @@ def the_wearer(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING_T
     if not found or found[0].fault:
         used = mesh.vertices[np.unique(mesh.faces)]
         extent = " x ".join(f"{length:.4g}" for length in np.ptp(used, axis=0))
+        cure = "Say which avatar it was modelled on (avatar), its unit (unit) and its up axis (up)."
+        if told != NOTHING_TOLD:
+            cure = "Leave out what was said of the file (unit, up, facing), or say which avatar it was modelled on."
         raise MeshError(
             "garment",
             expected="cloth that a human body fits in, in some unit and pose",
             got=f"an extent of {extent}; " + (found[0].fault if found else "no unit makes that a garment"),
-            cure="Say which avatar it was modelled on (avatar), its unit (unit) and its up axis (up).",
+            cure=cure,
         )
     return found[0]
 

@@ -25,14 +25,17 @@ Y_FROM_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 # SMPL, its 22 body joints, SMPL-H and SMPL-X (whose further joints are fingers and face).
 _BODY_JOINTS = {72: 24, 66: 22, 156: 22, 165: 22}
 
+# Columns of the arrays that newer files have in place of, or beside, ``poses``.
+_PARTS = {"root_orient": 3, "pose_body": 63}
+
 _RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "mocap_frame_rate_hz", "fps")
 
 
 def read_amass(path: Path) -> MotionClip:
     """The clip of an npz with ``poses``, ``trans`` and a frame rate, turned to y up.
 
-    Flat poses (F, 72 | 66 | 156 | 165) are AMASS's: z up. Poses (F, 24, 3) are the
-    product's: y up. A key ``up`` ("y" or "z") overrules. Nothing is unpickled.
+    Flat poses (F, 72 | 66 | 156 | 165) are AMASS's: z up; so are ``root_orient`` (F, 3) with ``pose_body`` (F, 63).
+    Poses (F, 24, 3) are the product's: y up. A key ``up`` ("y" or "z") overrules. Nothing is unpickled.
     """
     path = Path(path)
     try:
@@ -67,14 +70,10 @@ def _clip(arrays: _Arrays) -> MotionClip:
     if up == "z":
         _check_finite_root(arrays, poses, trans)
         poses, trans = rotate_world(poses, trans, Y_FROM_Z)
+    fps, name = _frame_rate(arrays), arrays.text("name", arrays.path.stem)
+    betas = arrays.numbers("betas") if "betas" in arrays.names else None
     try:
-        return MotionClip(
-            poses=poses,
-            trans=trans,
-            fps=_frame_rate(arrays),
-            name=arrays.text("name", arrays.path.stem),
-            betas=arrays.numbers("betas") if "betas" in arrays.names else None,
-        )
+        return MotionClip(poses=poses, trans=trans, fps=fps, name=name, betas=betas)
     except MotionError as error:
         raise arrays.fault(error.name, error.expected, error.got, error.cure) from error
 
@@ -87,7 +86,10 @@ def _check_finite_root(arrays: _Arrays, poses: np.ndarray, trans: np.ndarray) ->
 
 def _joint_poses(arrays: _Arrays) -> tuple[np.ndarray, str]:
     """Poses (F, 24, 3), and the up axis that this layout has by default."""
-    poses = arrays.numbers("poses")
+    if "poses" not in arrays.names and set(_PARTS) <= arrays.names:
+        poses = _joined(arrays)
+    else:
+        poses = arrays.numbers("poses")
     if poses.ndim == 3 and poses.shape[1:] == (JOINT_COUNT, 3):
         return poses, "y"
     joints = _BODY_JOINTS.get(poses.shape[1]) if poses.ndim == 2 else None
@@ -98,6 +100,16 @@ def _joint_poses(arrays: _Arrays) -> tuple[np.ndarray, str]:
     full = np.zeros((len(poses), JOINT_COUNT, 3))
     full[:, :joints] = poses[:, : 3 * joints].reshape(len(poses), joints, 3)
     return full, "z"
+
+
+def _joined(arrays: _Arrays) -> np.ndarray:
+    """Poses (F, 66) of a file that has root and body apart."""
+    parts = [arrays.numbers(name) for name in _PARTS]
+    for name, part, width in zip(_PARTS, parts, _PARTS.values(), strict=True):
+        if part.shape != (len(parts[0]), width):
+            wanted = f"shape ({len(parts[0])}, {width})"
+            raise arrays.fault(name, wanted, f"shape {part.shape}", "Store one row of rotation vectors per frame.")
+    return np.concatenate(parts, axis=1)
 
 
 def _frame_rate(arrays: _Arrays) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -32,8 +33,8 @@ def read_bvh(path: Path, *, metres_per_unit: float | None = None, up: str | None
     """The clip of a BVH file, retargeted to the 24 SMPL joints.
 
     Channels may come in any order; a joint's rotation is the product in that order.
-    ``metres_per_unit`` None guesses the unit from the length of the legs, ``up`` None finds
-    the axis that the person stands along.
+    ``metres_per_unit`` None guesses the unit from the length of the legs; where none makes them a person's, the figure
+    walks as far as an adult would. ``up`` None finds the axis that the person stands along.
     """
     path = Path(path)
     lines = read_lines(path)
@@ -50,7 +51,10 @@ def read_bvh(path: Path, *, metres_per_unit: float | None = None, up: str | None
         offsets=np.array([joint.offset for joint in joints]),
     )
     rotations = global_rotations(local, skeleton.parents)
-    return retarget(skeleton, rotations, places, fps=fps, name=path.stem, metres_per_unit=metres_per_unit, up=up)
+    return retarget(
+        skeleton, rotations, places, fps=fps, name=path.stem, metres_per_unit=metres_per_unit, up=up,
+        any_size=metres_per_unit is None,
+    )  # fmt: skip
 
 
 def _parse_hierarchy(path: Path, lines: list[Line]) -> tuple[list[_Joint], int]:
@@ -184,12 +188,22 @@ def read_lines(path: Path) -> list[Line]:
                 got=str(size),
                 cure="Cut the clip into shorter files.",
             )
-        # Latin-1 decodes any bytes; only names and comments can hold other than ASCII.
-        text = path.read_bytes().decode("latin-1")
+        text = _decoded(path.read_bytes())
     except OSError as cause:
         raise MotionError(path.name, expected="a readable file", got=str(cause), cure="Check the path.") from cause
     split = ((number, line.split("#", 1)[0].split()) for number, line in enumerate(text.splitlines(), 1))
     return [(number, words) for number, words in split if words]
+
+
+def _decoded(payload: bytes) -> str:
+    """The text of a file in UTF-8, with or without a mark of byte order, in UTF-16 or in Latin-1, which decodes any
+    bytes."""
+    if payload[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        return payload.decode("utf-16", errors="replace")
+    try:
+        return payload.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return payload.decode("latin-1")
 
 
 def fault(path: Path, number: int, expected: str, got: str, cure: str = "Export the file again.") -> MotionError:

@@ -3,38 +3,43 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 
 from drape.errors import MotionError
 
 # A side's name, then how it is written before or after a joint's word.
 _SIDES = (("left", "left", "l", "左"), ("right", "right", "r", "右"))
 
-# What rigs put before every name: Rigify, Character Creator, Biped, Mixamo without its colon, VRoid (C is its middle).
-_PREFIX = re.compile(r"def-|cc_base_|bip\d+|mixamorig\d*|j_bip_(c_)?", re.IGNORECASE)
+# What rigs put before every name: Rigify, Character Creator, Biped, Mixamo without its colon, VRoid (C is its middle),
+# Second Life ("mHipLeft").
+_PREFIX = re.compile(r"def-|cc_base_|bip\d+|mixamorig\d*|j_bip_(c_)?|(?-i:m(?=[A-Z]))", re.IGNORECASE)
+# Between the words of a name; what most names begin or end with is no part of them (``_readings``).
+_BETWEEN = re.compile(r"[\s_.:|-]+")
+_SHARED, _NUMBER = 0.5, "0"
 
 # SMPL joint -> names, without side, lower case. The same word means different
 # joints in different schemes ("LeftShoulder" is a collar in MotionBuilder, an
 # upper arm in Poser), so a file is read by one scheme: the one that fits best.
 _SCHEMES = {
-    # MotionBuilder, Mixamo, CMU's BVH by cgspeed, LAFAN
+    # MotionBuilder, Mixamo, CMU's BVH by cgspeed, LAFAN, Motive
     "motionbuilder": {
         "hip": ("upleg", "thigh"),
         "knee": ("leg", "shin", "lowleg"),
         "ankle": ("foot",),
         "foot": ("toebase", "toe", "toes"),
         "collar": ("shoulder", "clavicle"),
-        "shoulder": ("arm", "uparm"),
-        "elbow": ("forearm", "lowarm"),
+        "shoulder": ("arm", "uparm", "uarm"),
+        "elbow": ("forearm", "lowarm", "farm"),
         "wrist": ("hand",),
     },
-    # Poser, SMPL's own names
+    # Poser, SMPL's own names, Second Life, Advanced Skeleton
     "anatomical": {
         "hip": ("hip",),
         "knee": ("knee",),
         "ankle": ("ankle",),
-        "foot": ("foot", "toe"),
-        "collar": ("collar",),
+        "foot": ("foot", "toe", "toes", "ball"),
+        "collar": ("collar", "scapula", "clavicle", "clav"),
         "shoulder": ("shoulder",),
         "elbow": ("elbow",),
         "wrist": ("wrist",),
@@ -78,8 +83,8 @@ _SCHEMES = {
 }
 
 # Of several the first wins: necks of two or three joints are told by their lowest.
-_NECK = ("neck", "lowerneck", "neck01", "necklower", "necktwist01", "spine004", "首")
-_HEAD = ("head", "spine006", "頭")
+_NECK = ("neck", "neckm", "lowerneck", "neck0", "neck1", "neck01", "necklower", "necktwist01", "spine004", "首")
+_HEAD = ("head", "headm", "head1", "spine006", "頭")
 
 CURE = "Rename the joints, or export with one of these naming schemes: docs/guide/motion.md."
 
@@ -92,12 +97,8 @@ def match_joints(names: Sequence[str], parents: Sequence[int], *, label: str) ->
     Refused without both hips, knees, ankles, shoulders and elbows, and a trunk.
     The trunk's joints, however many, are spread over spine1 to spine3.
     """
-    plain = {}
-    for index, name in enumerate(names):
-        plain.setdefault(_plain(name), index)
-    sources = max(
-        (_limbs(plain, scheme) for scheme in _SCHEMES.values()), key=lambda limbs: (not _lacks(limbs), len(limbs))
-    )
+    readings = [_best_limbs(reading) for reading in _readings(names)]
+    plain, sources = next((one for one in readings if not _lacks(one[1])), readings[0])
     missing = _lacks(sources)
     if missing:
         raise _too_few(label, f"no {', '.join(missing)} among {', '.join(names[:40])}")
@@ -128,6 +129,33 @@ def with_trunk(limbs: dict[str, int], parents: Sequence[int], *, label: str) -> 
 def is_whole(found: Mapping[str, int]) -> bool:
     """Whether ``found`` has every joint that a person needs."""
     return not _lacks(found) and {"pelvis", "spine1", "spine2", "spine3"} <= found.keys()
+
+
+def _best_limbs(names: Sequence[str]) -> tuple[dict[str, int], dict[str, int]]:
+    """The plain ``names`` with their indices, and the limbs' joints by the scheme that finds the most among them."""
+    plain: dict[str, int] = {}
+    for index, name in enumerate(names):
+        plain.setdefault(_plain(name), index)
+    found = (_limbs(plain, scheme) for scheme in _SCHEMES.values())
+    return plain, max(found, key=lambda limbs: (not _lacks(limbs), len(limbs)))
+
+
+def _readings(names: Sequence[str]) -> Iterator[list[str]]:
+    """The ``names``, and these without the words that most end or begin with, as "JNT" or a character's name, and the
+    numbers that sites which show models put behind them; one word less each time."""
+    yield list(names)
+    words = [[word for word in _BETWEEN.split(name) if word] for name in names]
+    sides = {mark for side in _SIDES for mark in side}
+    for place in (-1, 0):
+        while True:
+            ends = ["" if len(one) < 2 else _NUMBER if one[place].isdigit() else one[place].lower() for one in words]
+            shared, count = Counter(end for end in ends if end).most_common(1)[0] if any(ends) else ("", 0)
+            if shared in sides or count < max(1.0, _SHARED * sum(bool(one) for one in words)):
+                break
+            for one, end in zip(words, ends, strict=True):
+                if end == shared:
+                    del one[place]
+            yield ["_".join(one) for one in words]
 
 
 def _plain(name: str) -> str:

@@ -120,7 +120,10 @@ async def _read(socket: WebSocket, session: StreamSession, state: State, client:
         if message["type"] == "websocket.receive" and payload is not None:
             _take(payload, session, state.runtime.metrics)
         else:
-            session.reopen(await read_opening(text_of(message), state, client))
+            text = text_of(message)
+            session.opening = True
+            session.reopen(await read_opening(text, state, client))
+            session.opening = False
             await socket.send_text(opening_answer(session.plan, state, session.wearer))
         state.streams.wake()
 
@@ -176,6 +179,8 @@ async def _watch(session: StreamSession, state: State) -> None:
     idle_s = state.runtime.settings.stream_idle_s
     while True:
         await asyncio.sleep(min(WATCH_S, ACK_S / 4, idle_s / 4))
+        if session.opening:  # what the client sends waits in its connection
+            continue
         now = time.monotonic()
         if session.under_way and now - session.under_way[0][1] > ACK_S:
             raise TooSlow(

@@ -84,6 +84,7 @@ class StreamSession:
     outbox_since_s: float = 0.0  # when the pose of the frame in the outbox came
     failure: DrapeError | None = None
     last_heard_s: float = field(default_factory=time.monotonic)
+    opening: bool = False  # another opening is being made ready, and nothing is read meanwhile
     # Sequence of every frame that was begun and is not acknowledged, and when [s] it was ready; infinity before that.
     under_way: list[tuple[int, float]] = field(default_factory=list)
     news: asyncio.Event = field(default_factory=asyncio.Event)

@@ -97,9 +97,9 @@ class _ObjReader:
         except ValueError:
             values = ()
         if len(values) < count or not all(map(isfinite, values)):
-            raise self.fault(
-                number, f"{count} finite numbers", " ".join(words) or "nothing", "Repair or remove the line."
-            )
+            commas = any("," in word for word in words)
+            cure = "Write decimals with points, not commas." if commas else "Repair or remove the line."
+            raise self.fault(number, f"{count} finite numbers", " ".join(words) or "nothing", cure)
         return values
 
     def polygon(self, number: int, words: list[str]) -> None:

@@ -61,6 +61,12 @@ def thick(by_m: float) -> GarmentMesh:
 
 def test_single_layer_is_left_as_it_is():
     assert join_sheets(CLOTH) is CLOTH
+
+
+def test_a_vertex_of_no_face_may_lie_anywhere():
+    """Lengths were shares of the box of all vertices, and the cloth was welded into a point."""
+    far = plain_mesh("shirt", np.concatenate([CLOTH.vertices, [[1e6, 0.0, 0.0]]]), CLOTH.faces)
+    assert join_sheets(far) is far
     assert cloth_layer(CLOTH, SKIN) is CLOTH
 
 

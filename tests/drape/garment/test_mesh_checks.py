@@ -40,6 +40,8 @@ def test_sound_garment_passes_unchanged():  # cut from the skin, so its normals 
         (plain_mesh("a", np.zeros((0, 3)), np.zeros((0, 3))), "vertices and faces"),
         (plain_mesh("a", CLOTH.vertices, np.zeros((0, 3))), "vertices and faces"),
         (plain_mesh("a", np.eye(3), [[0, 1, 2]]), "at least 24 vertices"),
+        (plain_mesh("a", 0.0 * CLOTH.vertices, CLOTH.faces), "scale is 0"),
+        (plain_mesh("a", np.ones((1, 3)), [[0, 0, 0]]), "scale is 0"),
         (
             replace(CLOTH, vertices=np.where(np.arange(len(CLOTH.vertices))[:, None] == 7, np.nan, CLOTH.vertices)),
             "finite",

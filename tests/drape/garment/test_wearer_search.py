@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drape.body.assets import load_body
-from drape.errors import BodyError
+from drape.errors import BodyError, MeshError
 from drape.garment.avatars import standard_avatar
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake_options import IntakeOptions
@@ -121,6 +121,11 @@ def test_a_loose_dress_is_refused_in_readings_that_few_write():
     assert 0.3 < one.energy < other.energy < 0.7
     assert not one.fault
     assert other.fault
+
+
+def test_a_refusal_in_a_unit_that_was_told_says_to_leave_it_out():
+    with pytest.raises(MeshError, match=r"Leave out what was said of the file \(unit"):
+        the_wearer(tube_dress(), BODY, ToldReading(unit=("mm", 0.001)))
 
 
 def test_dress_on_the_standard_body_is_found_in_millimetres_with_z_up():

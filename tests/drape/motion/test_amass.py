@@ -55,6 +55,24 @@ def test_reading_turns_the_posed_joints_from_z_up_to_y_up(width, joints, rng, tm
     assert_allclose(clip.poses[:, 1:], poses[:, 1:], rtol=0.0, atol=EXACT)
 
 
+def test_root_and_body_apart_are_the_poses_of_both(rng, tmp_path):
+    flat, trans = 0.5 * rng.normal(size=(4, 66)), rng.normal(size=(4, 3))
+    apart = {"root_orient": flat[:, :3], "pose_body": flat[:, 3:], "pose_hand": np.zeros((4, 90))}
+    clip = read_amass(write(tmp_path / "apart.npz", poses=None, trans=trans, **apart))
+    own = read_amass(write(tmp_path / "own.npz", poses=flat, trans=trans))
+    np.testing.assert_array_equal(clip.poses, own.poses)
+    np.testing.assert_array_equal(clip.trans, own.trans)
+    apart["pose_body"] = apart["pose_body"][:3]
+    with pytest.raises(MotionError, match=r"apart.npz: pose_body: expected shape \(4, 63\), got shape \(3, 63\)"):
+        read_amass(write(tmp_path / "apart.npz", poses=None, trans=trans, **apart))
+
+
+def test_a_refusal_names_its_file_once(tmp_path):
+    with pytest.raises(MotionError) as refused:
+        read_amass(write(tmp_path / "clip.npz", mocap_framerate=None))
+    assert str(refused.value).count("clip.npz") == 1
+
+
 def test_three_dimensional_poses_are_taken_as_they_are(rng, tmp_path):
     poses, trans = rng.normal(size=(4, 24, 3)), rng.normal(size=(4, 3))
     clip = read_amass(write(tmp_path / "ours.npz", poses=poses, trans=trans))

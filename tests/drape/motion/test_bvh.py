@@ -83,12 +83,36 @@ def test_unit_is_guessed_from_the_legs(unit, root, wrote):
     assert_allclose(read_bvh(path, metres_per_unit=unit * 1.1).trans, 1.1 * root, rtol=0.0, atol=WRITTEN)
 
 
-def test_unit_that_fits_no_person_is_refused(wrote):
-    path = wrote(offsets=1e-5 * t_pose_offsets())
-    with pytest.raises(MotionError, match="metres_per_unit"):
-        read_bvh(path)
+@pytest.mark.parametrize("size", [1e-5, 0.3, 4.0, 1e6])
+def test_a_figure_of_any_size_walks_as_far_as_an_adult(size, local, root, wrote):
+    path = wrote(offsets=size * t_pose_offsets(), places=size * root)
+    clip, own = read_bvh(path), read_bvh(wrote())
+    assert_allclose(rotvec_to_matrix(clip.poses[:, :22]), local, rtol=0.0, atol=1e-3)  # nine places of 1e-5
+    share = np.linalg.norm(clip.trans) / np.linalg.norm(own.trans)
+    assert 0.8 < share < 1.25
+    assert_allclose(clip.trans, share * own.trans, rtol=0.0, atol=1e-3)
+
+
+def test_legs_of_no_person_in_a_unit_that_was_told_are_refused(wrote):
     with pytest.raises(MotionError, match="legs of"):
-        read_bvh(path, metres_per_unit=1.0)
+        read_bvh(wrote(offsets=1e-5 * t_pose_offsets()), metres_per_unit=1.0)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_a_file_may_begin_with_a_mark_of_byte_order_and_name_joints_in_japanese(encoding, local, wrote):
+    names = scheme_names("lafan")
+    japanese = {
+        "LeftUpLeg": "左足",
+        "LeftLeg": "左ひざ",
+        "LeftFoot": "左足首",
+        "LeftArm": "左腕",
+        "LeftForeArm": "左ひじ",
+    }
+    sides = japanese | {left.replace("Left", "Right"): word.replace("左", "右") for left, word in japanese.items()}
+    path = wrote(names=[sides.get(name, name) for name in names])
+    path.write_bytes(path.read_text().encode(encoding))
+    turned = rotvec_to_matrix(read_bvh(path).poses[:, [1, 2, 4, 5, 16, 17]])
+    assert_allclose(turned, local[:, [1, 2, 4, 5, 16, 17]], rtol=0.0, atol=WRITTEN)
 
 
 def a_pose():

@@ -239,6 +239,53 @@ def test_every_scheme_names_all_joints(scheme):
     assert match_joints(bare, PARENTS[:22], label=scheme) == {joint: index for index, joint in enumerate(BODY)}
 
 
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize(
+    "affixes", [("Character1_", ""), ("Hero.01|", ""), ("", "_JNT"), ("ORG-", ".bind"), ("", "_{}")]
+)
+def test_what_all_names_begin_or_end_with_is_no_part_of_them(scheme, affixes):
+    # Exporters put a character's name before them, riggers a kind behind them, sites that show models a number.
+    before, after = affixes
+    names = [f"{before}{rig_names(scheme)[joint]}{after.format(7 + k)}" for k, joint in enumerate(BODY)]
+    parents = [*PARENTS[:22], -1, -1]
+    found = match_joints([*names, "Camera", "Object_7"], parents, label=scheme)
+    assert found == {joint: index for index, joint in enumerate(BODY)}
+
+
+def test_names_without_affixes_keep_what_tells_sides_and_twists():
+    names = [rig_names("unreal")[joint] for joint in BODY]
+    twists = [f"{name}_twist_01_l" for name in ("upperarm", "thigh", "calf")]
+    found = match_joints([*twists, *names], [-1, -1, -1, *(p + 3 if p >= 0 else p for p in PARENTS[:22])], label="rig")
+    assert found == {joint: index + 3 for index, joint in enumerate(BODY)}
+
+
+LIMBS = ["hip", "knee", "ankle", "foot", "collar", "shoulder", "elbow", "wrist"]
+TRUNK = ["pelvis", "spine1", "spine2", "spine3", "neck", "head"]
+
+
+@pytest.mark.parametrize(
+    ("limbs", "trunk", "written"),
+    [
+        (
+            "mHip mKnee mAnkle mFoot mCollar mShoulder mElbow mWrist",
+            "mPelvis mTorso mSpine3 mChest mNeck mHead",
+            lambda word, side: word + side.capitalize(),
+        ),
+        (
+            "Hip Knee Ankle Toes Scapula Shoulder Elbow Wrist",
+            "Root_M Spine1_M Spine2_M Chest_M Neck_M Head_M",
+            lambda word, side: f"{word}_{side[0].upper()}",
+        ),
+    ],
+    ids=["second life", "advanced skeleton"],
+)
+def test_more_schemes_are_read_whole(limbs, trunk, written):
+    words = dict(zip(LIMBS + TRUNK, f"{limbs} {trunk}".split(), strict=True))
+    sided = [joint.rpartition("_") for joint in BODY]
+    names = [written(words[limb], side) if side else words[limb] for side, _, limb in sided]
+    assert match_joints(names, PARENTS[:22], label="rig") == {joint: index for index, joint in enumerate(BODY)}
+
+
 def test_a_foot_of_five_toes_heads_for_the_second():
     names = [rig_names("makehuman")[joint] for joint in BODY]
     parents = list(PARENTS[:22])

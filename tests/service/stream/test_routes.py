@@ -22,7 +22,7 @@ from drape.garment.cache import Garment
 from drape.wire import messages as wire
 from service.settings import Settings
 from service.stream import opening, routes
-from tests.fixtures.patience import wait_until
+from tests.fixtures.patience import PATIENT_S, wait_until
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import served
 from tests.fixtures.streams import PROTOCOLS, stream_address
@@ -260,6 +260,30 @@ def test_silence_is_ended(make_settings: Callable[..., Settings], monkeypatch: p
             code, _, said = run(url, talk)
             assert code == 4408
             assert words in said["detail"]
+
+
+def test_a_garment_that_takes_long_to_make_ready_does_not_end_its_stream(make_settings, monkeypatch):
+    """Acknowledgements lie unread until it is ready, and the client was shown out as if it had sent none."""
+    ready_s = iter((0.0, 1.5))
+
+    async def slow(*given: Any) -> opening.Opening:
+        await asyncio.sleep(next(ready_s))
+        return await opening.read_opening(*given)
+
+    async def talk(socket: ClientConnection) -> int:
+        await opened(socket)
+        await send(socket, 1)
+        message = await asyncio.wait_for(socket.recv(), 10.0)
+        await socket.send(json.dumps(OPEN))
+        await socket.send(wire.pack_ack(wire.unpack_frame(message).sequence))
+        assert json.loads(await asyncio.wait_for(socket.recv(), 10.0))["type"] == "opened"
+        await send(socket, 2)
+        return (await frame(socket)).sequence
+
+    monkeypatch.setattr(routes, "ACK_S", 0.4)
+    monkeypatch.setattr(routes, "read_opening", slow)
+    with served(make_settings()) as url:
+        assert run(url, talk) == 2
 
 
 def test_more_streams_than_places_are_turned_away(live: str, live_settings: Settings):

@@ -153,7 +153,7 @@ FORMATS = "format: expected one of obj, glb, gltf, ply, stl, usd, usda, usdc, us
     ("query", "content", "status", "word"),
     [
         ({}, b"x", 400, f"{FORMATS} nothing"),
-        ({"name": "shirt.dae"}, b"x", 400, f"{FORMATS} the name shirt.dae"),
+        ({"name": "shirt.dae"}, b"x", 400, f"{FORMATS} the name shirt.dae. Export the garment as one of these."),
         ({"name": "shirt.obj", "avtar": "standard"}, b"x", 400, "avtar: expected no such parameter"),
         ({"name": "shirt", "format": "rar"}, b"x", 400, f"{FORMATS} rar"),
         ({"format": "obj"}, b"x", 400, "name: expected the garment's name"),

@@ -95,6 +95,7 @@ def test_obj_is_read_as_the_world_writes_it(encoding: str, newline: str):
         (b"banana 1 2 3\n", "line 1: expected an OBJ statement"),
         (b"\xef\xbb\xbf# of nothing\nny 1 2 3\n", "line 2: expected an OBJ statement"),
         (b"ny 1 2 3\nv 0 0 0\n", "no faces"),
+        (b"v 0,1 0,2 0,3\n", "with points, not commas"),
         (b"glTF\2\0\0\0" + bytes(range(256)), "a text file"),
     ],
 )
