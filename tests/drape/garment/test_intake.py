@@ -243,7 +243,7 @@ def test_bytes_of_a_client_name_no_files(folder: Path):
 
 def test_garment_that_nobody_fits_in_is_refused_and_nothing_is_written(tmp_path: Path):
     (tmp_path / "unknown.obj").write_bytes(obj_text(VERTICES[:, [1, 0, 2]] * [1.0, 0.1, 3.0], FACES))
-    with pytest.raises(MeshError, match=r"; at best .*\. Say which avatar"):
+    with pytest.raises(MeshError, match=r"; at best .*\. Leave out what was said of the file .*, or say which avatar"):
         intake(tmp_path / "unknown.obj", body=BODY, folder=tmp_path / "out", options=IntakeOptions(unit="m", up="y"))
     assert not (tmp_path / "out").exists()
 
