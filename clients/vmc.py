@@ -144,7 +144,7 @@ async def bridge(host: str, port: int, page_port: int, page: str) -> None:
     loop, pages = asyncio.get_running_loop(), set[ServerConnection]()
 
     async def come(connection: ServerConnection) -> None:
-        if len(pages) >= MOST_PAGES:
+        if sum(one.close_code is None for one in pages) >= MOST_PAGES:  # a page that left counts until its next pose
             return
         pages.add(connection)
         try:
