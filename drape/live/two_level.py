@@ -56,7 +56,7 @@ from drape.live.untangle import tangles_of
 LEAST = 700  # vertices of the coarse cloth: a sock is small, and round
 # Edges of the coarse cloth in the length over which it bends under its own weight: none more below a height over the
 # skin, all of them above another.
-FOLD_EDGES, NEAR_M, FREE_M = 3.5, 0.04, 0.12
+FOLD_EDGES, NEAR_M, FREE_M = 3.5, 0.08, 0.16
 
 
 @dataclass(frozen=True, eq=False)
