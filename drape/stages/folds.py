@@ -26,7 +26,7 @@ from drape.live.skin_walks import TouchedSamples
 from drape.live.two_level import LiftMemory, Memory, OneLevel, TwoLevel, TwoLevelMemory
 from drape.stages.batch import Batch, Layer, Quality, changed, stacked
 from drape.stages.plan import FINE, SKIN, Plan
-from drape.stages.stage import KeptConstants, Stage, StageSetup
+from drape.stages.stage import ClothStage, StageSetup
 from drape.wire.options import DrapeOptions
 
 SETTLE = 8  # times the steps of a frame for one without a past, where clients do not say
@@ -36,7 +36,7 @@ KEPT_BYTES = 256 << 20  # of garments in fabrics, 3 to 8 MB each; what is in use
 Constants = OneLevel | TwoLevel
 
 
-class Folds(Stage):
+class Folds(ClothStage[Constants]):
     """Takes steps of folds: lowers the energy of the cloth over the body, from what the frame before has left.
 
     With ``cloth_contact``, the default, a garment also keeps off itself and off the layers below. Without it each layer
@@ -49,11 +49,8 @@ class Folds(Stage):
     kept = (FoldMemory, TwoLevelMemory, LiftMemory, TouchedSamples)
 
     def __init__(self, setup: StageSetup) -> None:
-        super().__init__(setup)
-        self._garments: dict[str, Garment] = {}
-        self._constants = KeptConstants[Constants](
-            lambda kept: sum(made.nbytes for made in kept) > KEPT_BYTES  # fabrics beside those in use go
-        )
+        # Fabrics beside those in use go.
+        super().__init__(setup, lambda kept: sum(made.nbytes for made in kept) > KEPT_BYTES)
         self._wrappings: WeakKeyDictionary[Garment, Wrapping] = WeakKeyDictionary()
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
@@ -95,16 +92,6 @@ class Folds(Stage):
     def depends_on(self, plan: Plan) -> object:
         return plan.fabrics, plan.options.advanced.coarse
 
-    def rested(self, memory: Memory, time_s: float) -> Memory:
-        return memory.at(time_s)
-
-    def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
-        self._garments[garment.digest] = garment
-
-    def remove(self, garment: Garment) -> None:
-        self._garments.pop(garment.digest, None)
-        self._constants.forget(garment.digest)
-
     def parts(self, plan: Plan) -> Sequence[Callable[[], object]]:
         coarse, worn = plan.options.advanced.coarse, zip(plan.draped_keys, plan.fabrics, strict=True)
         layers = zip(plan.scene.layers, plan.draped_keys, read_layers(plan), strict=True)
@@ -112,10 +99,6 @@ class Folds(Stage):
             *(partial(self._wrapping, one.garment) for one, key, read in layers if read and one.garment.digest != key),
             *(partial(self.constants, key, fabric, coarse=coarse) for key, fabric in worn),
         ]
-
-    def run(self, batch: Batch) -> Batch:
-        *_, last = self.steps(batch)
-        return last
 
     def steps(self, batch: Batch) -> Iterator[Batch]:
         """Folds one layer after the other, since a frame without a past takes tens of milliseconds for each."""

@@ -81,6 +81,29 @@ class Stage(StageRules):
         yield self.run(batch)
 
 
+class ClothStage(Stage, Generic[Constants]):
+    """A stage that moves the cloth of garments in fabrics, from a memory of where it was (``at``)."""
+
+    def __init__(self, setup: StageSetup, too_many: Callable[[Collection[Constants]], bool]) -> None:
+        super().__init__(setup)
+        self._garments: dict[str, Garment] = {}
+        self._constants = KeptConstants[Constants](too_many)
+
+    def rested(self, memory: Any, time_s: float) -> Any:
+        return memory.at(time_s)
+
+    def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
+        self._garments[garment.digest] = garment
+
+    def remove(self, garment: Garment) -> None:
+        self._garments.pop(garment.digest, None)
+        self._constants.forget(garment.digest)
+
+    def run(self, batch: Batch) -> Batch:
+        *_, last = self.steps(batch)
+        return last
+
+
 def carried(memories: Memories, before: Plan, after: Plan) -> Memories:
     """Returns those of ``memories`` that still hold when the plan ``before`` becomes ``after``.
 

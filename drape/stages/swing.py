@@ -5,32 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
-import numpy as np
-
 from drape.cloth.fabric import Fabric
 from drape.errors import InputError
-from drape.garment.cache import Garment
 from drape.geometry.colliders import seen_from
 from drape.live.clock import Frame
 from drape.live.swing_constants import swing_constants
 from drape.live.swing_step import SwingConstants, SwingMemory, swing
 from drape.stages.batch import Batch, changed, stacked
 from drape.stages.plan import SKIN, Plan
-from drape.stages.stage import KeptConstants, Stage, StageSetup
+from drape.stages.stage import ClothStage, StageSetup
 
 KEPT = 256  # garments in fabrics, a megabyte at most each; what is in use stays
 
 
-class Swing(Stage):
+class Swing(ClothStage[SwingConstants | None]):
     """Moves each layer's vertices by the swing of its nodes, times the knob; what lies near the skin stays."""
 
     name = "swing"
     kept = (SwingMemory,)
 
     def __init__(self, setup: StageSetup) -> None:
-        super().__init__(setup)
-        self._garments: dict[str, Garment] = {}
-        self._constants = KeptConstants[SwingConstants | None](lambda kept: len(kept) > KEPT)
+        super().__init__(setup, lambda kept: len(kept) > KEPT)
 
     def check(self, plan: Plan) -> None:
         here = plan.options.folds_by == "server"  # a client that folds swings as well
@@ -52,23 +47,9 @@ class Swing(Stage):
     def depends_on(self, plan: Plan) -> object:
         return plan.fabrics
 
-    def rested(self, memory: SwingMemory, time_s: float) -> SwingMemory:
-        return memory.at(time_s)
-
-    def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
-        self._garments[garment.digest] = garment
-
-    def remove(self, garment: Garment) -> None:
-        self._garments.pop(garment.digest, None)
-        self._constants.forget(garment.digest)
-
     def parts(self, plan: Plan) -> Sequence[Callable[[], object]]:
         worn = zip(plan.draped_keys, plan.fabrics, strict=True)
         return [partial(self.constants, key, fabric) for key, fabric in worn]
-
-    def run(self, batch: Batch) -> Batch:
-        *_, last = self.steps(batch)
-        return last
 
     def steps(self, batch: Batch) -> Iterator[Batch]:
         """Yields the batch after each layer."""
