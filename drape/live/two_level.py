@@ -14,6 +14,7 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
 from drape.cloth.coarse_mesh import coarse_mesh
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
@@ -56,7 +57,8 @@ from drape.live.untangle import tangles_of
 LEAST = 700  # vertices of the coarse cloth: a sock is small, and round
 # Edges of the coarse cloth in the length over which it bends under its own weight: none more below a height over the
 # skin, all of them above another.
-FOLD_EDGES, NEAR_M, FREE_M = 3.5, 0.08, 0.16
+FOLD_EDGES, NEAR_M, FREE_M = 3.5, 0.04, 0.12
+LOWER = [n for n, name in enumerate(JOINT_NAMES) if name.split("_")[-1] in ("pelvis", "hip", "knee", "ankle", "foot")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +173,7 @@ def two_level(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -
     cloth, fabric = ClothMesh.of(made.rest, made.faces, len(made.vertex)), fabric or fabric_named(garment.fabric)
     kept = vertices[made.vertex]
     below = worn_mesh(cloth, kept, body, fabric)
-    coarse = FoldConstants.of(stiffened(below, heights_m(kept, body_skin(body), below.index)))
+    coarse = FoldConstants.of(stiffened(below, hanging(kept, body, below.index)))
     fine = sheet(worn.cloth, worn.material, worn.band_n_per_m)
     taken, weight = coarse_weights(vertices, worn.cloth.faces, made.vertex, cloth.mean_edge_m)
     taken, weight = coarse.sheet.place[taken][fine.vertex], weight[fine.vertex]
@@ -187,18 +189,29 @@ def two_level(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -
     return TwoLevel(levels, LaidCloth(fine, coarse.graph, worn.index[fine.vertex]))
 
 
-def stiffened(worn: WornCloth, height_m: np.ndarray) -> WornCloth:
+def hanging(kept: np.ndarray, body: BodyModel, index: np.ndarray) -> np.ndarray:
+    """Returns how freely (V,), 0 to 1, ``kept`` [m] (V, 3) hang at rest round hips and legs of ``body``.
+
+    It rises from ``NEAR_M`` to ``FREE_M`` over the samples ``index`` (V,) of the skin. Round trunk and arms it is 0: an
+    arm that comes down presses cloth into folds that stiffer cloth does not make, and passes through itself.
+    """
+    skin = body_skin(body)
+    lower = (skin.operator[: skin.count] @ body.weights)[:, LOWER].sum(axis=1)[index]
+    return lower * np.clip((heights_m(kept, skin, index) - NEAR_M) / (FREE_M - NEAR_M), 0.0, 1.0)
+
+
+def stiffened(worn: WornCloth, hangs: np.ndarray) -> WornCloth:
     """Returns ``worn`` with hinges so stiff that its edges resolve the folds of its own weight.
 
     Cloth of rigidity B [J] and weight q [N/m^2] bends under its weight over the length (B / q)^(1/3) (Cerda, Mahadevan
     and Pasini 2004, "The elements of draping", PNAS 101(7)). Where that is less than an edge, as on a coarse mesh of
-    satin, a mesh does not fold but crumples. Here it is ``FOLD_EDGES`` mean edges at least where the ``height_m`` (V,)
-    over the skin at rest is ``FREE_M`` or more. Nearer to the skin, which smooths it, cloth keeps its own rigidity.
+    satin, a mesh does not fold but crumples. Here it is ``FOLD_EDGES`` mean edges at least where ``hangs`` (V,) is 1.
+    Where it is 0 cloth keeps its own rigidity.
     """
     cloth, material = worn.cloth, worn.material
     weight = material.gravity_m_s2 * material.density_kg_m2
     times = weight * (FOLD_EDGES * cloth.mean_edge_m) ** 3 / material.bending_j
-    free = np.clip((height_m - NEAR_M) / (FREE_M - NEAR_M), 0.0, 1.0)[cloth.hinge_index.reshape(4, -1)].mean(axis=0)
+    free = hangs[cloth.hinge_index.reshape(4, -1)].mean(axis=0)
     weights = cloth.hinge_weight * (1.0 + np.maximum(times - 1.0, 0.0) * free)
     return replace(worn, cloth=replace(cloth, hinge_weight=weights))
 

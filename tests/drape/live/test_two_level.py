@@ -20,12 +20,11 @@ from drape.live.fold_constants import worn_cloth
 from drape.live.fold_step import FoldEffort
 from drape.live.two_level import (
     FOLD_EDGES,
-    FREE_M,
-    NEAR_M,
     LiftMemory,
     TwoLevel,
     TwoLevelMemory,
     fold_two_level,
+    hanging,
     one_level,
     stiffened,
 )
@@ -92,20 +91,28 @@ def test_the_same_frames_give_the_same_bits_and_memories_are_not_written(tank: T
 
 @pytest.mark.parametrize("name", ["satin", "denim"])
 def test_edges_of_a_coarse_cloth_resolve_folds_of_its_weight_where_it_hangs(name: str):
-    """Hinges off the skin bend over ``FOLD_EDGES`` edges; near it they stay, and so does cloth that is stiffer."""
-    worn = worn_cloth(garment := shipped("skirt"), load_body(), fabric(name))
+    """Hinges of a skirt's hem bend over ``FOLD_EDGES`` edges; those of its top stay, and so does stiffer cloth."""
+    garment, body = shipped("circle_skirt"), load_body()
+    worn = worn_cloth(garment, body, fabric(name))
     cloth, material = worn.cloth, worn.material
-    height = np.where(garment.vertices[: cloth.vertex_count, 1] > garment.vertices[:, 1].mean(), NEAR_M, FREE_M)
-    free = (height[cloth.hinge_index.reshape(4, -1)] == FREE_M).mean(axis=0)
-    made, real = stiffened(worn, height), cloth.hinge_weight > 0.0
+    hangs = hanging(garment.vertices[: cloth.vertex_count].astype(float), body, worn.index)
+    free = hangs[cloth.hinge_index.reshape(4, -1)].mean(axis=0)
+    made, real = stiffened(worn, hangs), cloth.hinge_weight > 0.0
     rigidity = material.bending_j * made.cloth.hinge_weight[real] / cloth.hinge_weight[real]
-    off, on = free[real] == 1.0, free[real] == 0.0
-    assert off.any() and on.any() and made.material == material
+    off, on = free[real] > 0.999, free[real] == 0.0
+    assert off.mean() > 0.05 and on.mean() > 0.05 and made.material == material
     assert_allclose(rigidity[on], material.bending_j)
     length = (rigidity / (material.density_kg_m2 * material.gravity_m_s2)) ** (1.0 / 3.0)
-    assert_allclose(length[off], FOLD_EDGES * cloth.mean_edge_m)
+    assert_allclose(length[off], FOLD_EDGES * cloth.mean_edge_m, rtol=1e-3)
     stiff = replace(worn, material=replace(material, bending_j=1.0))
-    assert_array_equal(stiffened(stiff, height).cloth.hinge_weight, cloth.hinge_weight)
+    assert_array_equal(stiffened(stiff, hangs).cloth.hinge_weight, cloth.hinge_weight)
+
+
+def test_nothing_round_trunk_and_arms_hangs(tank: TwoLevel):
+    garment, body = shipped("sweat"), load_body()
+    vertices = garment.vertices[: garment.vertex_count].astype(float)
+    hangs = hanging(vertices, body, worn_cloth(garment, body).index)
+    assert hangs[vertices[:, 1] > np.quantile(vertices[:, 1], 0.3)].max() < 0.05
 
 
 def rows(flat: np.ndarray) -> np.ndarray:
