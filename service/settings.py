@@ -36,7 +36,8 @@ OTHERS = ("BPY", "CACHE", "CURVATURE", "DATA", "ENGINE", "ISA", "KEY", "SYSTEM",
 
 
 class Settings(BaseSettings):
-    """One field per setting; names in the environment are upper case with the prefix."""
+    """The settings of a service, which docs/guide/operate.md explains. Variables of the environment are named as the
+    fields, upper case behind ``DRAPE_``."""
 
     model_config = SettingsConfigDict(env_prefix="DRAPE_", extra="forbid", frozen=True, protected_namespaces=())
 

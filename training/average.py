@@ -61,7 +61,7 @@ def average(first: Path, second: Path, out: Path, *, share: float = 0.5) -> None
 
 @refusing
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line entry."""
+    """Writes the checkpoint ``--out``, whose weights lie between those of two others. Returns 0."""
     parser = argparse.ArgumentParser(prog="python -m training.average", description="A model between two.")
     parser.add_argument("first", type=Path, help="checkpoint, or a model, as of training.run --finetune")
     parser.add_argument("second", type=Path, help="checkpoint of what the first was trained on to")

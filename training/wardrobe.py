@@ -30,8 +30,8 @@ class Wardrobe:
     With ``fabrics`` hinges are flat at rest and some variants are cut with another grain; without, cloth rests as it is
     modelled, as of networks that know no fabric. ``process`` gives every process of a parallel run variants of its own.
 
-    A partition is known by its seed, so that a checkpoint holds seeds and ``restore`` draws
-    the same partitions again.
+    A garment's partition into patches is known by its random seed, so that a checkpoint holds seeds and ``restore``
+    draws the same partitions again.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class Wardrobe:
         garment.seeds[place] = seed
 
     def seeds(self) -> list[list[int]]:
-        """Seeds of all partitions, for ``restore``."""
+        """Returns the random seeds of the partitions of each garment, for ``restore``."""
         return [list(garment.seeds) for garment in self.garments]
 
     def restore(self, seeds: list[list[int]]) -> None:

@@ -62,7 +62,8 @@ class JointSprings:
     felt: np.ndarray
 
     def moves(self, motion: RigMotion) -> np.ndarray:
-        """The motions (F, E, 3, 4) of the joints as players move them, seen from the pelvis."""
+        """Returns where F frames of ``motion`` take the E joints when they swing as in a VRM player, from their
+        places at rest, in the frame of the pelvis: matrices (F, E, 3, 4), translations in the last column."""
         at, heads, rest = _carried(self.distilled, self.tails, motion)
         found = tails(self.numbers, heads, rest, motion.fps, _capsules(self.limbs, self.felt, motion))
         swung = _swung(at, heads, shortest_turns(heads, rest, found))

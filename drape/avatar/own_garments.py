@@ -118,8 +118,8 @@ def own_faces(wearer: Wearer, garments: Iterable[Garment]) -> np.ndarray:
 
 
 def halves_on(wearer: Wearer, garments: Sequence[Garment], standard: BodyModel) -> Halves:
-    """Returns ``halves_of`` the ``garments``, of which some are made for the ``standard`` body and others are the
-    ``wearer``'s own."""
+    """Returns whether ``garments`` lie on the upper and on the lower half of a body: some are made for the ``standard``
+    body, others are the ``wearer``'s own."""
     own = [garment for garment in garments if OWN in garment.manifest]
     others = [garment for garment in garments if OWN not in garment.manifest]
     return joined_halves([halves_of(others, standard), halves_of(own, wearer.body)])

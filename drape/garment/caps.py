@@ -28,7 +28,8 @@ RIM_SHARE = 0.15  # of the extent: a shorter rim lets no hand through
 
 
 def without_caps(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Which ``faces`` (F,) of the mesh with ``points`` (N, 3) are not of a cap."""
+    """Returns which ``faces`` (F, 3) of the mesh with ``points`` [m] (N, 3) are not of a cap, bool (F,): a disc that
+    closes a sleeve, a leg or a hem, and has another far from it on the same piece."""
     areas = meshes.face_areas(points, faces)
     piece = mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
     label, likely = _likely_caps(points, faces, areas, piece)

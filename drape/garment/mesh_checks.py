@@ -79,7 +79,11 @@ def check_mesh(
 
 
 def check_surface(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` with finite numbers and faces that a cloth can have; raises ``MeshError``."""
+    """Returns ``mesh`` without faces that have no area.
+
+    Raises ``MeshError`` where it is empty or too large, a number is not finite, an index is out of range, or faces meet
+    at edges as no cloth does.
+    """
     check_arrays(mesh, vertex_limit=2 * VERTEX_LIMIT)
     mesh = without_flat_faces(mesh)
     check_edges(mesh)

@@ -121,7 +121,8 @@ def _place_fault(empty: int, wrong: float) -> str:
 
 
 def one_sided(bones: Bones, nearest: np.ndarray) -> float:
-    """How much more of the cloth lies on the limbs of one side, as a share."""
+    """Returns how much more of the cloth lies on limbs of one side than on those of the other, as a share of all its
+    points, in [0, 1]. ``nearest`` (N,) is the row in ``bones`` nearest to each point."""
     side = np.array([part.startswith("left") - 1.0 * part.startswith("right") for part in bones.part])
     return abs(float(side[nearest].mean()))
 

@@ -246,8 +246,11 @@ def draw(
 
 
 def read_told(told: np.ndarray) -> tuple[list[float], list[list[int]], np.ndarray, np.ndarray]:
-    """Reads what F frames of L garments tell, ``told`` (F, L, TOLD) int64. Returns the novelty of each, the ticks of
-    ``PARTS``, and low corners and step sizes (F, 3)."""
+    """Reads what F frames of L garments tell, ``told`` (F, L, TOLD) int64.
+
+    Returns by frame: the novelty of its pose; how long each of ``PARTS`` took, in ticks of the processor's clock; the
+    low corner [m] (F, 3) of its coordinates, and their steps [m] (F, 3).
+    """
     first = told[:, 0]
     boxes = first[:, _BOX:-1].copy().view(_FLOAT)
     novelty, ticks = first.view(np.float64)[:, OUTCOME], first[:, OUTCOME + 1 : _BOX]

@@ -61,7 +61,8 @@ class PoseInput:
 
 
 def check_poses(poses: np.ndarray, trans: np.ndarray) -> None:
-    """Refuses rotation vectors (F, 24, 3) [rad] and translations (F, 3) [m] that are finite but senseless."""
+    """Refuses rotation vectors (F, 24, 3) [rad] beyond ``ANGLE_LIMIT_RAD`` or that look like degrees, and translations
+    (F, 3) [m] that are too far away. Numbers are finite."""
     if len(poses) and np.abs(poses).max() <= PLAIN_RAD:  # nearly all: the checks that name what is wrong take longer
         check_places(trans)
         return

@@ -59,7 +59,8 @@ def _read_before() -> None:
 
 
 def main() -> None:
-    """Makes the calls that come in on standard input until it ends."""
+    """Answers calls, pickled on standard input, until that ends: on standard output, whether each came off, and what
+    its function returned or raised."""
     step_back()
     _read_before()
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")

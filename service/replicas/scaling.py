@@ -75,7 +75,10 @@ def wanted_replicas(loads: Mapping[str, Load], deadline_s: float) -> int:
 
 
 class Policy:
-    """The rule that Ray's autoscaler follows; ``deadline_s`` is that of ``DRAPE_FRAME_DEADLINE_S``."""
+    """How many replicas Ray's autoscaler asks for: ``wanted_replicas`` of what running ones tell of their load.
+
+    ``deadline_s`` [s] is that of ``DRAPE_FRAME_DEADLINE_S``.
+    """
 
     def __init__(self, deadline_s: float) -> None:
         self._deadline_s = deadline_s
