@@ -17,19 +17,23 @@ GARMENT_SUFFIXES = (".npz", *MESH_SUFFIXES)
 
 
 def find_garments(names: Sequence[str]) -> list[Path]:
-    """Cache and mesh files of ``names``; all shipped garments where none is named."""
+    """Returns the garment files, cache (.npz) or mesh, that ``names`` name: shipped names, files or folders. Without
+    names they are all shipped garments. Raises ``NotFound`` for a name without a file."""
     return find_files(names, GARMENTS_DIR, GARMENT_SUFFIXES, "garment")
 
 
 def find_motions(names: Sequence[str]) -> list[Path]:
-    """Motion files of ``names``; all shipped clips where none is named."""
+    """Returns the motion files that ``names`` name: shipped names, files or folders. Without names they are all shipped
+    clips. Raises ``NotFound`` for a name without a file."""
     return find_files(names, MOTIONS_DIR, MOTION_SUFFIXES, "motion")
 
 
 def find_files(names: Sequence[str], folder: Path, suffixes: tuple[str, ...], kind: str) -> list[Path]:
-    """Files of ``names``, each a file, a folder, or a name in ``folder``; a folder's avatars are left out.
+    """Returns the files that ``names`` name, in their order; without names all those of ``folder``.
 
-    Raises ``NotFound``, naming the ``kind`` and what there is, where a name has no file.
+    A name is a file, a folder, which stands for its files with one of the ``suffixes``, or the ``short_name`` of files
+    in ``folder``. Files of a folder that begin with "avatar" are left out. Raises ``NotFound`` where a name has no
+    file; the message says which ``kind`` of file and which names there are.
     """
     files: list[Path] = []
     for name in names or [str(folder)]:
@@ -49,22 +53,27 @@ def find_files(names: Sequence[str], folder: Path, suffixes: tuple[str, ...], ki
 
 
 def short_name(path: Path) -> str:
-    """The name that finds a file: its stem, or NAME for a cache file NAME-DIGEST16.npz."""
+    """Returns the stem of ``path`` by which a command line names it; of a cache file NAME-DIGEST16.npz only NAME."""
     stem, _, digest = path.stem.rpartition("-")
     return stem if stem and len(digest) == 16 else path.stem
 
 
 def was_trained_on(garment: Garment, names: Sequence[str]) -> bool:
-    """Whether ``garment`` is among those that a model's training ``names``: designs, or files by what they hold.
+    """Returns whether ``garment`` is one of the ``names`` of the garments that a model was trained on.
 
-    Files are named with their folder and suffix or, as a model's manifest does, without.
+    A name is that of the garment's design, or that of its cache file; the folder and the suffix of a file do not count.
     """
     design = garment.manifest.get("design", {}).get("name")
     return design in names or Path(garment.file_name()).stem in {Path(name).stem for name in names}
 
 
 def open_garment(path: Path, body: BodyModel) -> Garment:
-    """The garment cached at ``path``, or made from the mesh there; refused if it was made for another body."""
+    """Returns the garment in the cache file (.npz) at ``path``, or the one that ``intake`` makes of the mesh file
+    there.
+
+    Raises ``ArtifactError`` for a garment of another body than ``body`` and for a damaged cache file, and
+    ``InputError`` for a mesh that intake refuses.
+    """
     if path.suffix == ".npz":
         garment = load_garment(path)
     else:
@@ -76,8 +85,8 @@ def open_garment(path: Path, body: BodyModel) -> Garment:
 
 
 def open_outfit(path: Path, body: BodyModel) -> list[Garment]:
-    """The garments in the mesh at ``path``, the innermost first; or the one that is cached there, as ``open_garment``
-    gives it."""
+    """Returns the garments that ``intake_outfit`` makes of the mesh file at ``path``, the innermost first. Of a cache
+    file (.npz) it is the one garment in it. Raises as ``open_garment`` does."""
     if path.suffix == ".npz":
         return [open_garment(path, body)]
     from drape.garment.intake import intake_outfit
@@ -86,7 +95,7 @@ def open_outfit(path: Path, body: BodyModel) -> list[Garment]:
 
 
 def check_body(what: str, digest: str, body: BodyModel) -> None:
-    """Raises ``ArtifactError`` if ``what`` was made for another body."""
+    """Raises ``ArtifactError``, which names ``what``, if the body digest ``digest`` is not that of ``body``."""
     if digest != body.digest:
         raise ArtifactError(
             f"{what} body",

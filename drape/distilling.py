@@ -39,10 +39,12 @@ Motion = str | Path | MotionClip
 
 
 def distil(worn: Worn, motions: Sequence[Motion] | None = None, *, joints: int = JOINTS) -> Joints:
-    """Distils the garments that are ``worn`` by a character, which ``Drape.wear`` got by ``on``.
+    """Returns the garments of ``worn`` as meshes that are skinned to their character's bones and to ``joints`` further
+    joints each.
 
-    ``motions``: what is draped for it, the shipped clips by default. ``joints``: of each garment, besides the rig's. It
-    takes about half a minute a garment. Raises ``InputError`` for garments on the standard body.
+    ``worn``: garments on a character, from ``Drape.wear`` with ``on``. ``motions``: clips, or names of clips, that are
+    draped as examples for the joints; by default the shipped clips. It takes about half a minute a garment. Raises
+    ``InputError`` for garments on the standard body, and for ``joints`` outside 1 to ``MOST_JOINTS``.
     """
     if not 1 <= joints <= MOST_JOINTS:
         raise InputError(
@@ -66,21 +68,24 @@ def distil(worn: Worn, motions: Sequence[Motion] | None = None, *, joints: int =
 
 
 class Joints:
-    """Garments of a character with joints of their own, as ``distil`` returns them."""
+    """The garments of one character as meshes skinned to its bones and to joints of their own; ``distil`` returns
+    it."""
 
     def __init__(self, worn: Worn, layers: Sequence[tuple[Jointed, Sequence[DrapedClip]]]) -> None:
         self.wearer, self._rig = worn.on_rig()
         self._worn, self.layers, self._clips = worn, [one for one, _ in layers], [clips for _, clips in layers]
 
     def glb(self, motion: Motion, *, fps: float = FPS) -> bytes:
-        """Returns the character's file with the garments over ``motion``, as a GLB."""
+        """Returns the bytes of a GLB: the character's file with the garments, and animation tracks in which all joints
+        follow the drape of ``motion`` at ``fps`` frames per second."""
         draped = self._over(motion, fps)
         vertices = [one.vertices for one in draped]
         made = worn_glb(self._worn.character_file, self.layers, vertices, draped[0].motion, self.wearer.scale)
         return made.to_bytes()
 
     def vrm(self) -> bytes:
-        """Returns the character's file with the garments on spring bones, as a VRM of the version that it is.
+        """Returns the bytes of a VRM: the character's file with the garments, whose own joints are spring bones. Its
+        VRM version is that of the character.
 
         Raises ``InputError`` for a character that is a plain GLB.
         """
@@ -88,13 +93,17 @@ class Joints:
 
     @cached_property
     def springs(self) -> list[JointSprings]:
-        """The spring bones of each garment."""
+        """Returns the spring bones that move each garment's own joints, fitted to the draped examples; the innermost
+        garment first."""
         made = zip(self.layers, self._clips, strict=True)
         return [fit_springs(layer.distilled, clips, self.wearer) for layer, clips in made]
 
     def errors_mm(self, motion: Motion, *, fps: float = FPS) -> list[dict[str, float]]:
-        """Returns how far [mm], root mean square, each garment is from its drape over ``motion``: with ``tracks``, with
-        ``springs``, and ``carried`` by the rig alone.
+        """Returns for each garment, the innermost first, the root mean square distance [mm] of its vertices from their
+        drape over ``motion``.
+
+        Its keys: "tracks", joints that follow the drape; "springs", spring bones; "carried", only the character's
+        bones.
         """
         errors = []
         for layer, springs, draped in zip(self.layers, self.springs, self._over(motion, fps), strict=True):

@@ -9,10 +9,11 @@ WANTED: ContextVar[Callable[[], bool]] = ContextVar("wanted", default=lambda: Tr
 
 
 class Unwanted(Exception):
-    """Nobody waits for the result any more."""
+    """Raised inside a computation whose result nobody waits for any more."""
 
 
 def go_on() -> None:
-    """Raises ``Unwanted`` where ``WANTED`` of the caller's context says that nobody waits."""
+    """Returns nothing; raises ``Unwanted`` if the function in the context variable ``WANTED`` says that nobody waits
+    for the result of the caller."""
     if not WANTED.get()():
         raise Unwanted

@@ -20,9 +20,8 @@ NEEDLE = 1e-12  # squared sine below which a triangle has no barycentric coordin
 
 @dataclass(frozen=True, eq=False)
 class ClosestPoints:
-    """The points of a mesh nearest to N points: the unsigned ``distance`` [m] (N,), the ``face`` (N,) that each lies
-    in, the ``point`` itself [m] (N, 3), and the ``corners`` [m] (N, 3, 3) of that face.
-    """
+    """The points of a mesh that are nearest to N given points: the unsigned ``distance`` [m] (N,), the ``face`` (N,) on
+    which each lies, the ``point`` itself [m] (N, 3), and the ``corners`` [m] (N, 3, 3) of that face."""
 
     distance: np.ndarray
     face: np.ndarray
@@ -31,13 +30,14 @@ class ClosestPoints:
 
     @cached_property
     def barycentric(self) -> np.ndarray:
-        """The coordinates (N, 3) of each point in its face."""
+        """Returns the barycentric coordinates (N, 3) of each nearest point in its face; they are in [0, 1] and sum to
+        one."""
         return barycentric(self.point, self.corners)
 
 
 class SearchedMesh:
-    """A mesh that is asked for nearest points many times, whose tree is made once: ``vertices`` [m] (V, 3), ``faces``
-    (F, 3)."""
+    """A mesh that is asked for nearest points many times: ``vertices`` [m] (V, 3), ``faces`` (F, 3). Its search tree is
+    made once. Raises ``MeshError`` for arrays that are no finite mesh with faces."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         _, self.vertices, self.faces = _checked(np.zeros((0, 3)), vertices, faces)
@@ -45,7 +45,7 @@ class SearchedMesh:
         self._tree.init(self.vertices, self.faces)
 
     def closest(self, points: np.ndarray) -> ClosestPoints:
-        """The nearest point of the mesh to each of ``points`` [m] (N, 3)."""
+        """Returns the point of the mesh nearest to each of ``points`` [m] (N, 3)."""
         points = np.ascontiguousarray(points, dtype=np.float64)
         if len(points) == 0:
             return ClosestPoints(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)))
@@ -55,21 +55,21 @@ class SearchedMesh:
 
 
 def closest_point(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> ClosestPoints:
-    """The nearest point of the mesh to each of ``points`` [m] (N, 3)."""
+    """Returns the point of the mesh nearest to each of ``points`` [m] (N, 3). Raises ``MeshError`` for arrays that are
+    no points or no finite mesh with faces."""
     points, vertices, faces = _checked(points, vertices, faces)
     return SearchedMesh(vertices, faces).closest(points)
 
 
 def nearest_vertices(points: np.ndarray, vertices: np.ndarray, count: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Distances [m] to the vertices nearest to each of ``points`` (N, 3), and their rows: both (N,), or (N, ``count``)
-    from the nearest on."""
+    """Returns the distances [m] to the ``vertices`` (V, 3) nearest to each of ``points`` (N, 3), and the rows of these
+    vertices: both (N,) for a ``count`` of 1, else (N, ``count``), the nearest first."""
     distance, index = KDTree(vertices, leafsize=LEAF).query(points, k=count)
     return np.asarray(distance), np.asarray(index)
 
 
 def on_border(found: ClosestPoints, faces: np.ndarray) -> np.ndarray:
-    """Returns which of the nearest points ``found`` (N,) bool lie on an edge of one triangle alone: the cloth ends
-    there."""
+    """Returns which of the N points in ``nearest`` lie on a boundary edge of the mesh ``faces`` (F, 3), bool (N,)."""
     corners = np.asarray(faces, dtype=np.int64)
     count = int(corners.max()) + 1
     border = boundary_edges(corners)
@@ -84,11 +84,11 @@ def on_border(found: ClosestPoints, faces: np.ndarray) -> np.ndarray:
 
 
 def signed_distance(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Distances [m] (N,) of ``points`` (N, 3) to a closed mesh, negative inside.
+    """Returns the distances [m] (N,) of ``points`` (N, 3) from a closed mesh, negative inside.
 
-    The sign is that of the angle-weighted pseudo-normal at the nearest point
-    (Baerentzen & Aanaes 2005): exact for a closed mesh without self-intersections,
-    and local where a posed body cuts into itself.
+    The sign is that of the angle-weighted pseudo-normal at the nearest point (Baerentzen & Aanaes 2005): exact for a
+    closed mesh without self-intersections, and local where a posed body cuts into itself. Raises ``MeshError`` for
+    arrays that are no points or no finite mesh with faces.
     """
     points, vertices, faces = _checked(points, vertices, faces)
     if len(points) == 0:
@@ -100,7 +100,7 @@ def signed_distance(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray)
 class ClosedMesh(SearchedMesh):
     """A closed mesh that is asked for signed distances many times: ``vertices`` [m] (V, 3), ``faces`` (F, 3).
 
-    The sign is that of ``signed_distance``; the tree and the normals that it takes are made once.
+    Its search tree and the normals that decide signs are made once; signs are those of ``signed_distance``.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
@@ -120,7 +120,8 @@ class ClosedMesh(SearchedMesh):
         self._edge_normals = summed[edge].reshape(-1, 3, 3)  # of the edge across from each corner
 
     def signed_closest(self, points: np.ndarray) -> tuple[np.ndarray, ClosestPoints]:
-        """Distances [m] (N,) of ``points`` (N, 3), negative inside, and the nearest points of the mesh."""
+        """Returns the distances [m] (N,) of ``points`` [m] (N, 3) from the mesh, negative inside, and the nearest
+        points on it."""
         found = self.closest(points)
         face, weights = found.face, found.barycentric
         there = weights > ON_EDGE
@@ -138,7 +139,8 @@ def _gathered(rows: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
 
 
 def barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Barycentric coordinates (N, 3) in [0, 1] of ``points`` (N, 3) that lie on the triangles ``corners`` (N, 3, 3)."""
+    """Returns the barycentric coordinates (N, 3), in [0, 1] with sum one, of ``points`` (N, 3) on the triangles
+    ``corners`` (N, 3, 3). On a degenerate triangle they are those of the nearest corner."""
     e1, e2, p = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
     a, b, c = (e1 * e1).sum(1), (e1 * e2).sum(1), (e2 * e2).sum(1)
     d, e = (p * e1).sum(1), (p * e2).sum(1)

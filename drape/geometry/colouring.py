@@ -9,14 +9,16 @@ from drape.engine.calls import call_with_scratch
 
 
 def colour_order(graph: scipy.sparse.csr_matrix) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices (V,) int32 of ``graph`` colour by colour, and where each colour begins (C + 1,)."""
+    """Returns the vertices (V,) int32 of the symmetric matrix ``graph`` (V, V) sorted by colour, and where each of C
+    colours begins among them, (C + 1,) int32 with V at the end. Two vertices with an entry have different colours."""
     colour = greedy_colours(graph.indptr, graph.indices)
     start = np.concatenate([[0], np.cumsum(np.bincount(colour))])
     return np.argsort(colour, kind="stable").astype(np.int32), start.astype(np.int32)
 
 
 def greedy_colours(start: np.ndarray, neighbour: np.ndarray) -> np.ndarray:
-    """For each vertex the least colour (V,) int32 that no earlier neighbour has.
+    """Returns for each vertex a colour (V,) int32 from 0: in the order of vertices, the least that no earlier neighbour
+    has.
 
     The neighbours of v are ``neighbour[start[v] : start[v + 1]]``, which may have v itself.
     """

@@ -17,7 +17,7 @@ HEIGHT_ORDER = 4
 
 
 def coefficient_count(order: int) -> int:
-    """Number of coefficients of a jet of ``order``: (n + 1)(n + 2) / 2."""
+    """Returns the number of coefficients of a polynomial of ``order`` n in (u, v): (n + 1)(n + 2) / 2."""
     return (order + 1) * (order + 2) // 2
 
 
@@ -28,7 +28,8 @@ FULL_COUNT = 3 * HEIGHT_COUNT  # 45
 
 
 def exponents(order: int) -> list[tuple[int, int]]:
-    """Powers of (u, v) in coefficient order."""
+    """Returns the powers (of u, of v) of each monomial up to ``order``, in the order of coefficients: 1, u, v, u^2, uv,
+    v^2, ..."""
     return [(i - j, j) for i in range(order + 1) for j in range(i + 1)]
 
 
@@ -41,14 +42,16 @@ def _powers(x: Array, order: int) -> list[Array]:
 
 
 def basis(uv: Array, order: int) -> Array:
-    """Monomials (..., n_coefficients) at parameters ``uv`` (..., 2)."""
+    """Returns the monomials (..., n) up to ``order``, in the order of coefficients, at the parameters ``uv`` (...,
+    2)."""
     xp = namespace(uv)
     u, v = _powers(uv[..., 0], order), _powers(uv[..., 1], order)
     return xp.stack([u[a] * v[b] for a, b in exponents(order)], axis=-1)
 
 
 def basis_derivative(uv: Array, order: int, *, u_times: int = 0, v_times: int = 0) -> Array:
-    """Monomials differentiated ``u_times`` in u and ``v_times`` in v, (..., n_coefficients)."""
+    """Returns the monomials (..., n) up to ``order``, differentiated ``u_times`` by u and ``v_times`` by v, at the
+    parameters ``uv`` (..., 2)."""
     xp = namespace(uv)
     u, v = _powers(uv[..., 0], order), _powers(uv[..., 1], order)
     terms = []
@@ -63,18 +66,21 @@ def basis_derivative(uv: Array, order: int, *, u_times: int = 0, v_times: int = 
 
 
 def pack(p: Array, q: Array, h: Array) -> Array:
-    """Coefficients (..., 27 or 45) from p and q (..., 6 or 15) and h (..., 15)."""
+    """Returns a vector jet, coefficients (..., 27 or 45): those of the in-plane polynomials ``p`` and ``q`` (..., 6 or
+    15), then those of the height ``h`` (..., 15)."""
     return namespace(p).concat([p, q, h], axis=-1)
 
 
 def unpack(jet: Array) -> tuple[Array, Array, Array]:
-    """p and q (..., 6) and h (..., 15) of coefficients (..., 27); of full ones (..., 45), p and q (..., 15)."""
+    """Returns the coefficients of the in-plane polynomials p and q (..., 6), and of the height h (..., 15), of a vector
+    jet (..., 27). Of a full jet (..., 45) p and q are (..., 15) too."""
     plane = (jet.shape[-1] - HEIGHT_COUNT) // 2
     return jet[..., :plane], jet[..., plane : 2 * plane], jet[..., 2 * plane :]
 
 
 def full(jet: Array) -> Array:
-    """Returns ``jet`` (..., 27 or 45) with 45 coefficients."""
+    """Returns ``jet`` (..., 27 or 45) as a full one (..., 45); in-plane coefficients above order 2 are zero where it
+    had none."""
     xp = namespace(jet)
     p, q, h = unpack(jet)
     padding = xp.zeros_like(h[..., p.shape[-1] :])
@@ -82,7 +88,8 @@ def full(jet: Array) -> Array:
 
 
 def evaluate_jet(jet: Array, uv: Array, *, u_times: int = 0, v_times: int = 0) -> Array:
-    """The vector jet (..., 27 or 45), or a derivative of it, at ``uv`` (..., 2): (..., 3), unscaled."""
+    """Returns the position (p, q, h) (..., 3) of the vector jet ``jet`` (..., 27 or 45) at the parameters ``uv`` (...,
+    2), in the patch's frame [patch scales], or its derivative by u and v."""
     xp = namespace(jet)
     p, q, h = unpack(jet)
     height = basis_derivative(uv, HEIGHT_ORDER, u_times=u_times, v_times=v_times)
@@ -91,14 +98,16 @@ def evaluate_jet(jet: Array, uv: Array, *, u_times: int = 0, v_times: int = 0) -
 
 
 def normal(jet: Array, uv: Array) -> Array:
-    """Unit normals (..., 3) in the patch frame."""
+    """Returns the unit normals (..., 3) of the vector jet ``jet`` at the parameters ``uv`` (..., 2), in the patch's
+    frame."""
     xp = namespace(jet)
     direction = cross(evaluate_jet(jet, uv, u_times=1), evaluate_jet(jet, uv, v_times=1))
     return direction / xp.sqrt(xp.sum(direction * direction, axis=-1, keepdims=True) + 1e-30)
 
 
 def curvature(jet: Array, uv: Array, scale: Array) -> tuple[Array, Array]:
-    """Mean [1/m] and Gaussian [1/m^2] curvature (...,), positive mean where the patch bends towards its normal."""
+    """Returns the mean [1/m] and the Gaussian [1/m^2] curvature (...,) of the vector jet ``jet`` at the parameters
+    ``uv`` (..., 2); ``scale`` (...,) [m per unit]. The mean is positive where the patch bends towards its normal."""
     xp = namespace(jet)
     du, dv = evaluate_jet(jet, uv, u_times=1), evaluate_jet(jet, uv, v_times=1)
     n = normal(jet, uv)

@@ -10,43 +10,48 @@ from drape.geometry import meshes
 
 
 def connected_components(faces: np.ndarray, vertex_count: int) -> np.ndarray:
-    """Component number (V,) of every vertex, counted from 0; a vertex without a face is its own."""
+    """Returns the number (V,) int64 of the connected piece of every vertex, from 0; a vertex without a face is a piece
+    of its own."""
     return csgraph.connected_components(adjacency(faces, vertex_count), directed=False)[1].astype(np.int64)
 
 
 def joined_parts(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Returns for each of ``count`` things the number (``count``,) of its part: thing ``a[i]`` and thing ``b[i]`` (n,)
-    are in the same part."""
+    """Returns for each of ``count`` things the number (``count``,) of its part, from 0. Things ``a[i]`` and ``b[i]``
+    (n,) are joined, and joined things are one part."""
     graph = scipy.sparse.coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count))
     return csgraph.connected_components(graph, directed=False)[1]
 
 
 def adjacency(faces: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
-    """Symmetric matrix (V, V) with one at every edge."""
+    """Returns the sparse symmetric matrix (V, V) with 1 at the two vertices of every edge."""
     edges = meshes.unique_edges(faces)
     return edge_matrix(edges, np.ones(len(edges)), vertex_count)
 
 
 def edge_matrix(edges: np.ndarray, values: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
-    """Symmetric matrix (V, V) with ``values`` (E,) at ``edges`` (E, 2), each edge given once."""
+    """Returns the sparse symmetric matrix (V, V) with ``values`` (E,) at ``edges`` (E, 2), which name each edge
+    once."""
     both = np.concatenate([edges, edges[:, ::-1]])
     entries = np.concatenate([values, values]), (both[:, 0], both[:, 1])
     return scipy.sparse.csr_matrix(entries, shape=(vertex_count, vertex_count))
 
 
 def edge_graph(vertices: np.ndarray, faces: np.ndarray) -> scipy.sparse.csr_matrix:
-    """Symmetric matrix (V, V) with the length [m] of every edge, at least 1e-9: zero would say that there is none."""
+    """Returns the sparse symmetric matrix (V, V) with the length [m] of every edge, at least 1e-9: zero would say that
+    there is no edge."""
     edges = meshes.unique_edges(faces)
     return edge_matrix(edges, np.maximum(meshes.edge_lengths(vertices, edges), 1e-9), len(vertices))
 
 
 def weighted_laplacian(weights: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
-    """D - W of a symmetric matrix W (V, V) of weights, D the diagonal of its row sums."""
+    """Returns the sparse matrix D - W (V, V) of the symmetric matrix ``weights`` W, where D is the diagonal of its row
+    sums."""
     return scipy.sparse.diags(np.asarray(weights.sum(axis=1)).reshape(-1)) - weights
 
 
 def umbrella_laplacian(faces: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
-    """Matrix (V, V) whose product with positions is (mean of the neighbours) - (own position); zero rows where none."""
+    """Returns the sparse matrix (V, V) whose product with positions is (mean of the neighbours) - (own position); the
+    row of a vertex without neighbours is zero."""
     graph = adjacency(faces, vertex_count)
     degree = np.asarray(graph.sum(axis=1)).reshape(-1)
     averaging = scipy.sparse.diags(1.0 / np.maximum(degree, 1.0)) @ graph

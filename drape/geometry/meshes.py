@@ -38,17 +38,18 @@ def check_faces(faces: np.ndarray, vertex_count: int, *, name: str = "faces") ->
 
 
 def half_edges(faces: np.ndarray) -> np.ndarray:
-    """Start, end and opposite vertex (3F, 3) of every half-edge; row ``3 f + c`` starts at corner c of face f."""
+    """Returns the start, the end and the opposite vertex (3F, 3) of every half-edge; row ``3 f + c`` starts at corner c
+    of face f."""
     return np.stack([faces, np.roll(faces, -1, axis=1), np.roll(faces, -2, axis=1)], axis=2).reshape(-1, 3)
 
 
 def unique_edges(faces: np.ndarray) -> np.ndarray:
-    """Undirected edges (E, 2), the smaller index first, in lexicographic order."""
+    """Returns the undirected edges (E, 2) of ``faces``, the smaller vertex first, in lexicographic order."""
     return edge_uses(faces)[0]
 
 
 def edge_uses(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The edges (E, 2) of ``unique_edges``, and how many faces (E,) each has."""
+    """Returns the undirected edges (E, 2) as ``unique_edges`` does, and the number (E,) of faces at each."""
     if len(faces) == 0:
         return np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
     corners = faces.T
@@ -66,26 +67,27 @@ def _edge_keys(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def edges_of_halves(halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the number (n,) of each half-edge's edge, and how many ``halves`` each edge (E,) has. The first two
-    columns of ``halves`` are the ends."""
+    """Returns for each half-edge the number (n,) of its undirected edge, and for each of E edges the number (E,) of its
+    half-edges. Edges are numbered in lexicographic order; the first two columns of ``halves`` are their ends."""
     _, inverse, counts = np.unique(_edge_keys(halves[:, 0], halves[:, 1])[0], return_inverse=True, return_counts=True)
     return inverse.reshape(-1), counts
 
 
 def boundary_edges(faces: np.ndarray) -> np.ndarray:
-    """The edges (B, 2) of ``unique_edges`` that one face alone has: the surface ends there."""
+    """Returns the undirected edges (B, 2), as ``unique_edges`` has them, that belong to a single face: the surface ends
+    there."""
     edges, uses = edge_uses(faces)
     return edges[uses == 1]
 
 
 def boundary_vertices(faces: np.ndarray) -> np.ndarray:
-    """Vertices on a boundary edge, sorted."""
+    """Returns the vertices (n,) on boundary edges, ascending."""
     return np.unique(boundary_edges(faces))
 
 
 def edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns the half-edges (3F, 3), and two arrays of rows of these: the half-edges of a pair lie on one edge. m
-    faces on one edge give m - 1 pairs."""
+    """Returns the ``half_edges`` (3F, 3), and of P pairs of half-edges on one edge the rows (P,) of the first and the
+    rows (P,) of the second. An edge with m faces has m - 1 pairs."""
     halves = half_edges(faces)
     key, _ = _edge_keys(halves[:, 0], halves[:, 1])
     order = np.argsort(key, kind="stable")
@@ -94,29 +96,32 @@ def edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def edge_cosines(pairs: tuple[np.ndarray, np.ndarray, np.ndarray], normals: np.ndarray) -> np.ndarray:
-    """The cosine (E,) between the ``normals`` (F, 3) of each pair of faces (``edge_pairs``), wound alike."""
+    """Returns for each pair of faces at an edge the cosine (P,) between their ``normals`` (F, 3), as if both were wound
+    alike. ``pairs``: what ``edge_pairs`` returns."""
     halves, first, second = pairs
     wound = np.where((halves[first, :2] == halves[second, :2]).all(axis=1), -1.0, 1.0)
     return wound * np.einsum("ec,ec->e", normals[first // 3], normals[second // 3])
 
 
 def hinges(faces: np.ndarray) -> np.ndarray:
-    """Hinges (H, 4) = (i, j, k, l): the shared edge i -> j, the vertex k opposite in one face, l in the other."""
+    """Returns the hinges (H, 4) = (i, j, k, l), edges between two faces: the edge i -> j, the vertex k opposite in one
+    face, l in the other."""
     halves, first, second = edge_pairs(faces)
     return np.column_stack([halves[first], halves[second, 2]])
 
 
 def hinge_faces(faces: np.ndarray) -> np.ndarray:
-    """The two faces (H, 2) of every hinge, in the order of ``hinges``."""
+    """Returns the two faces (H, 2) at every hinge, in the order of ``hinges``."""
     _, first, second = edge_pairs(faces)
     return np.column_stack([first // 3, second // 3])
 
 
 def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
-    """Vertex indices of every closed boundary, following the orientation of the faces, longest first.
+    """Returns the vertices (n,) of every closed boundary in the order of its half-edges, the boundary with the most
+    vertices first.
 
-    Where two boundaries touch in a vertex the walk takes either branch; where
-    neighbouring faces disagree in orientation a boundary falls into open chains.
+    Where two boundaries touch in a vertex the walk takes either branch. Where neighbouring faces disagree in
+    orientation a boundary falls into open chains.
     """
     halves = half_edges(faces)[:, :2]
     number, counts = edges_of_halves(halves)
@@ -140,17 +145,16 @@ def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
 
 
 def in_use(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices (U,) that ``faces`` (F, 3) have, in order, and the faces by their numbers among these."""
+    """Returns the vertices (U,) that ``faces`` (F, 3) use, ascending, and the faces (F, 3) as rows of these."""
     used, numbers = np.unique(faces, return_inverse=True)
     return used, numbers.reshape(-1, 3)
 
 
 def subdivide(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Midpoint subdivision: vertices (N, 3), faces (4F, 3) and the two ``parents`` (N, 2) of every vertex.
+    """Returns vertices (N, C), faces (4F, 3) and the two parents (N, 2) of every vertex after midpoint subdivision.
 
-    The original vertices come first, in their order, and are their own parents;
-    any attribute follows as the mean of its parents'. Face ``4 f + c`` is the
-    corner c of face f, ``4 f + 3`` its middle.
+    The original vertices come first, in their order, and are their own parents; any attribute of a vertex is the mean
+    of its parents'. Face ``4 f + c`` is the corner c of face f, ``4 f + 3`` its middle.
     """
     count = len(vertices)
     ends = np.sort(half_edges(faces)[:, :2], axis=1)
@@ -168,33 +172,35 @@ def subdivide(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def corner_edges(vertices: Array, faces: np.ndarray) -> tuple[Array, Array]:
-    """The two edge vectors [m] (..., F, 3) that leave the first corner of every face."""
+    """Returns the edge vectors [m] (..., F, 3) from the first corner of every face to its second corner, and to its
+    third."""
     origin = _take(vertices, faces[:, 0])
     return _take(vertices, faces[:, 1]) - origin, _take(vertices, faces[:, 2]) - origin
 
 
 def area_vectors(vertices: Array, faces: np.ndarray) -> Array:
-    """Face normals times face areas [m^2] (..., F, 3)."""
+    """Returns the unit normal of every face times its area [m^2] (..., F, 3)."""
     return 0.5 * cross(*corner_edges(vertices, faces))
 
 
 def face_areas(vertices: Array, faces: np.ndarray) -> Array:
-    """Face areas [m^2] (..., F)."""
+    """Returns the areas [m^2] (..., F) of faces."""
     return _length(area_vectors(vertices, faces))[..., 0]
 
 
 def face_normals(vertices: Array, faces: np.ndarray) -> Array:
-    """Unit face normals (..., F, 3); zero where a face is degenerate."""
+    """Returns the unit normals (..., F, 3) of faces; zero where a face is degenerate."""
     return _unit(area_vectors(vertices, faces))
 
 
 def edge_lengths(vertices: Array, edges: np.ndarray) -> Array:
-    """Lengths [m] (..., E) of ``edges`` (E, 2)."""
+    """Returns the lengths [m] (..., E) of ``edges`` (E, 2)."""
     return _length(_take(vertices, edges[:, 1]) - _take(vertices, edges[:, 0]))[..., 0]
 
 
 def face_table(faces: np.ndarray, vertex_count: int) -> np.ndarray:
-    """Faces around every vertex (V, D), D the largest number there; free places hold F."""
+    """Returns the faces around every vertex (V, D) int64, where D is the largest number of them; places that are left
+    hold F."""
     corners = faces.reshape(-1)
     order = np.argsort(corners, kind="stable")
     counts = np.bincount(corners, minlength=vertex_count)
@@ -205,7 +211,8 @@ def face_table(faces: np.ndarray, vertex_count: int) -> np.ndarray:
 
 
 def vertex_sums(values: Array, table: np.ndarray) -> Array:
-    """Sums (..., V, C) over the faces around every vertex of face values (..., F, C)."""
+    """Returns for every vertex the sum (..., V, C) of ``values`` (..., F, C) over the faces around it. ``table`` (V,
+    D): what ``face_table`` returns."""
     xp = namespace(values)
     padded = xp.concat([values, xp.zeros_like(values[..., :1, :])], axis=-2)
     total = _take(padded, table[:, 0])
@@ -215,22 +222,24 @@ def vertex_sums(values: Array, table: np.ndarray) -> Array:
 
 
 def vertex_normals(vertices: Array, faces: np.ndarray, *, table: np.ndarray | None = None) -> Array:
-    """Unit vertex normals (..., V, 3), the face normals around a vertex weighted by area.
+    """Returns the unit normals (..., V, 3) of vertices: the normals of the faces around a vertex, weighted by area. It
+    is zero for a vertex without faces.
 
-    Pass ``face_table(faces, V)`` as ``table`` where the same mesh comes again.
+    ``table``: what ``face_table(faces, V)`` returns, for a mesh that comes more than once.
     """
     table = face_table(faces, vertices.shape[-2]) if table is None else table
     return _unit(vertex_sums(area_vectors(vertices, faces), table))
 
 
 def signed_areas(uv: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Areas [m^2] (F,) of triangles in the plane ``uv`` [m] (..., 2); negative where one is turned over."""
+    """Returns the areas [m^2] (F,) of triangles in the plane, with vertices at ``uv`` [m] (V, 2); negative where a
+    triangle is clockwise."""
     a, b, c = (uv[faces[:, k]] for k in range(3))
     return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
 
 
 def vertex_areas(vertices: Array, faces: np.ndarray) -> Array:
-    """Areas [m^2] (..., V): a third of every face around the vertex."""
+    """Returns for every vertex a third of the areas [m^2] (..., V) of the faces around it."""
     areas = face_areas(vertices, faces)[..., None] / 3.0
     return vertex_sums(areas, face_table(faces, vertices.shape[-2]))[..., 0]
 

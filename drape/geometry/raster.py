@@ -21,7 +21,8 @@ Paint = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class Surface:
-    """A mesh to draw: vertices [m] (V, 3), faces (F, 3), an RGB colour or one per face (F, 3), or its ``paint``."""
+    """A mesh to draw: ``vertices`` [m] (V, 3), ``faces`` (F, 3); its ``colour``, RGB in [0, 1] for all or for each face
+    (F, 3), or a ``paint`` function instead. ``smooth``: it is shaded by vertex normals, not by face normals."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -31,7 +32,8 @@ class Surface:
 
 
 def view_matrix(azimuth_deg: float, elevation_deg: float = 8.0) -> np.ndarray:
-    """Rotation (3, 3) world -> camera; azimuth 0 looks at the front (+z towards the viewer)."""
+    """Returns the rotation (3, 3) from the world to the camera: x right, y up, z towards the viewer. At azimuth 0 and
+    elevation 0 the two are the same, and the camera sees the front; elevation lifts the camera."""
     a, e = np.deg2rad(azimuth_deg), np.deg2rad(elevation_deg)
     turn = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
     tilt = np.array([[1, 0, 0], [0, np.cos(e), -np.sin(e)], [0, np.sin(e), np.cos(e)]])
@@ -48,9 +50,11 @@ def render(
     extent_m: float | None = None,
     light: np.ndarray = LIGHT,
 ) -> np.ndarray:
-    """An orthographic picture (height, width, 3) in [0, 1]; ``extent_m`` is the height of the view.
+    """Returns an orthographic picture of ``surfaces``, RGB (height, width, 3) in [0, 1] on white; ``size`` is (height,
+    width) [pixels].
 
-    ``light`` (3,): where it comes from, in the camera's axes; from the side it shows folds.
+    ``centre`` [m] (3,): the middle of the view, and ``extent_m``, its height; by default all surfaces fit. ``light``
+    (3,): the unit direction to the light in the camera's axes; from the side it shows folds.
     """
     height, width = size
     view = view_matrix(azimuth_deg, elevation_deg)
@@ -67,8 +71,8 @@ def render(
 
 @dataclass(frozen=True, eq=False)
 class ZBuffer:
-    """The nearest surface in every pixel of an orthographic view: its ``depth`` [m] (height, width) along the camera's
-    axis towards the viewer, and its ``face`` (height, width); -inf and -1 in empty pixels."""
+    """What an orthographic view sees in every pixel: ``depth`` [m] (height, width), along the axis towards the viewer
+    from the view's centre, -inf in empty pixels; and ``face`` (height, width), the nearest face, -1 in empty pixels."""
 
     depth: np.ndarray
     face: np.ndarray
@@ -83,7 +87,8 @@ def z_buffer(
     centre: np.ndarray,
     extent_m: float,
 ) -> ZBuffer:
-    """The buffer of a view as ``render`` draws it: both sides of the mesh ``vertices`` [m] (V, 3), ``faces`` (F, 3)."""
+    """Returns what ``render`` would see of the mesh ``vertices`` [m] (V, 3), ``faces`` (F, 3), both sides of it, in
+    every pixel of a view with these arguments."""
     camera, screen = _projected(vertices, view_matrix(azimuth_deg), centre, size, extent_m)
     depth = np.full(size[0] * size[1], -np.inf)
     nearest = np.full(len(depth), -1)

@@ -8,17 +8,18 @@ from drape.arrays import Array, namespace
 
 
 def apply(rotation: Array, translation: Array, points: Array) -> Array:
-    """Returns ``R x + t`` for points (..., n, 3) under rotations (..., 3, 3) and translations (..., 3)."""
+    """Returns ``R x + t`` (..., n, 3) for ``points`` x (..., n, 3), rotations R (..., 3, 3) and translations t (...,
+    3)."""
     xp = namespace(points)
     return points @ xp.matrix_transpose(rotation) + translation[..., None, :]
 
 
 def forward_kinematics(local_rotations: Array, joints: Array, parents: Sequence[int]) -> tuple[Array, Array]:
-    """World rotations (..., J, 3, 3) and joint positions [m] (..., J, 3) of a posed tree.
+    """Returns the world rotations (..., J, 3, 3) of joints and their world positions [m] (..., J, 3). The root stays at
+    its rest position.
 
-    ``local_rotations`` (..., J, 3, 3) turn each joint relative to its parent;
-    ``joints`` (..., J, 3) are rest positions [m]; ``parents[j] < j``, the root's is -1.
-    Batch axes broadcast.
+    ``local_rotations`` (..., J, 3, 3) turn each joint relative to its parent; ``joints`` [m] (..., J, 3) are rest
+    positions; ``parents[j] < j``, the root's is -1. Batch axes broadcast.
     """
     xp = namespace(local_rotations)
     rotations: list[Array] = []
@@ -37,9 +38,7 @@ def forward_kinematics(local_rotations: Array, joints: Array, parents: Sequence[
 
 
 def bone_transforms(local_rotations: Array, joints: Array, parents: Sequence[int]) -> tuple[Array, Array]:
-    """Rest-to-posed transforms of each bone: ``x_posed = R_j x_rest + t_j``.
-
-    Returns rotations (..., J, 3, 3) and translations [m] (..., J, 3).
-    """
+    """Returns the rotations R (..., J, 3, 3) and translations t [m] (..., J, 3) that take each bone from its rest
+    position to the posed one: ``x_posed = R_j x_rest + t_j``. The arguments are those of ``forward_kinematics``."""
     rotations, positions = forward_kinematics(local_rotations, joints, parents)
     return rotations, positions - (rotations @ joints[..., None])[..., 0]

@@ -15,7 +15,7 @@ def _small_angle(xp, dtype) -> float:
 
 
 def rotvec_to_quaternion(rotvec: Array) -> Array:
-    """Unit quaternions wxyz (..., 4) of rotation vectors [rad] (..., 3)."""
+    """Returns the unit quaternions wxyz (..., 4) of rotation vectors [rad] (..., 3)."""
     xp = namespace(rotvec)
     squared = xp.sum(rotvec * rotvec, axis=-1, keepdims=True)
     small = squared < _small_angle(xp, rotvec.dtype)
@@ -26,7 +26,7 @@ def rotvec_to_quaternion(rotvec: Array) -> Array:
 
 
 def rotvec_to_matrix(rotvec: Array) -> Array:
-    """Rotation matrices (..., 3, 3) of rotation vectors [rad] (..., 3), by Rodrigues' formula."""
+    """Returns the rotation matrices (..., 3, 3) of rotation vectors [rad] (..., 3), by Rodrigues' formula."""
     xp = namespace(rotvec)
     squared = xp.sum(rotvec * rotvec, axis=-1, keepdims=True)
     small = squared < _small_angle(xp, rotvec.dtype)
@@ -45,7 +45,7 @@ def rotvec_to_matrix(rotvec: Array) -> Array:
 
 
 def quaternion_to_matrix(wxyz: Array) -> Array:
-    """Rotation matrices (..., 3, 3) of unit quaternions wxyz (..., 4)."""
+    """Returns the rotation matrices (..., 3, 3) of unit quaternions wxyz (..., 4)."""
     xp = namespace(wxyz)
     w, x, y, z = wxyz[..., 0], wxyz[..., 1], wxyz[..., 2], wxyz[..., 3]
     rows = [
@@ -57,10 +57,9 @@ def quaternion_to_matrix(wxyz: Array) -> Array:
 
 
 def matrix_to_quaternion(matrix: Array) -> Array:
-    """Unit quaternions wxyz (..., 4), w >= 0, of rotation matrices (..., 3, 3).
+    """Returns the unit quaternions wxyz (..., 4), w >= 0, of rotation matrices (..., 3, 3).
 
-    Takes the largest of the four candidate rows (Bar-Itzhack's matrix), so it
-    stays accurate at half turns.
+    It takes the largest of the four candidate rows (Bar-Itzhack's matrix), so it stays accurate at half turns.
     """
     xp = namespace(matrix)
     m = matrix
@@ -83,7 +82,7 @@ def matrix_to_quaternion(matrix: Array) -> Array:
 
 
 def quaternion_to_rotvec(wxyz: Array) -> Array:
-    """Rotation vectors [rad] (..., 3) of length <= pi, of unit quaternions wxyz (..., 4)."""
+    """Returns the rotation vectors [rad] (..., 3), of length <= pi, of unit quaternions wxyz (..., 4)."""
     xp = namespace(wxyz)
     wxyz = xp.where(wxyz[..., :1] < 0.0, -wxyz, wxyz)
     real, imaginary = wxyz[..., :1], wxyz[..., 1:]
@@ -95,12 +94,13 @@ def quaternion_to_rotvec(wxyz: Array) -> Array:
 
 
 def matrix_to_rotvec(matrix: Array) -> Array:
-    """Rotation vectors [rad] (..., 3) of length <= pi, of rotation matrices (..., 3, 3)."""
+    """Returns the rotation vectors [rad] (..., 3), of length <= pi, of rotation matrices (..., 3, 3)."""
     return quaternion_to_rotvec(matrix_to_quaternion(matrix))
 
 
 def quaternion_multiply(left_wxyz: Array, right_wxyz: Array) -> Array:
-    """Hamilton products (..., 4): first ``right``, then ``left``."""
+    """Returns the Hamilton products wxyz (..., 4) left * right: the rotation ``right_wxyz`` first, then
+    ``left_wxyz``."""
     xp = namespace(left_wxyz)
     a, b, c, d = (left_wxyz[..., i] for i in range(4))
     w, x, y, z = (right_wxyz[..., i] for i in range(4))
@@ -116,7 +116,8 @@ def quaternion_multiply(left_wxyz: Array, right_wxyz: Array) -> Array:
 
 
 def quaternion_slerp(start_wxyz: Array, end_wxyz: Array, fraction: Array) -> Array:
-    """Unit quaternions (..., 4) on the shorter great arc; ``fraction`` (...,) runs from 0 to 1."""
+    """Returns the unit quaternions wxyz (..., 4) on the shorter great arc from start to end; ``fraction`` (...,) runs
+    from 0 to 1."""
     xp = namespace(start_wxyz)
     cosine = xp.sum(start_wxyz * end_wxyz, axis=-1, keepdims=True)
     end = xp.where(cosine < 0.0, -end_wxyz, end_wxyz)
@@ -132,13 +133,15 @@ def quaternion_slerp(start_wxyz: Array, end_wxyz: Array, fraction: Array) -> Arr
 
 
 def matrix_to_sixd(matrix: Array) -> Array:
-    """First two columns (..., 6) of rotation matrices (..., 3, 3) (Zhou et al. 2019)."""
+    """Returns the first two columns, one after the other (..., 6), of rotation matrices (..., 3, 3) (Zhou et al.
+    2019)."""
     xp = namespace(matrix)
     return xp.concat([matrix[..., :, 0], matrix[..., :, 1]], axis=-1)
 
 
 def sixd_to_matrix(sixd: Array) -> Array:
-    """Rotation matrices (..., 3, 3) by Gram-Schmidt of 6D descriptors (..., 6) (Zhou et al. 2019)."""
+    """Returns rotation matrices (..., 3, 3) whose first two columns are those in ``sixd`` (..., 6), made orthonormal by
+    Gram-Schmidt (Zhou et al. 2019)."""
     xp = namespace(sixd)
     first, second = sixd[..., :3], sixd[..., 3:]
     x = first / _norm(first)
@@ -148,7 +151,8 @@ def sixd_to_matrix(sixd: Array) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross products (..., 3), broadcasting; written out because torch's ``cross`` does not broadcast."""
+    """Returns the cross products (..., 3) of ``a`` and ``b`` (..., 3), broadcast. It is written out because torch's
+    ``cross`` does not broadcast."""
     xp = namespace(a)
     return xp.stack(
         [
@@ -161,7 +165,8 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def cross_columns(a: Array, b: Array) -> Array:
-    """Cross products (..., 3, N) of columns, coordinates first: N numbers at a time, and not three."""
+    """Returns the cross products (..., 3, N) of N columns ``a`` and ``b`` (..., 3, N). Coordinates come first, so that
+    N numbers are computed at a time, and not three."""
     xp = namespace(a)
     # Coordinates once more, so that yzx and zxy are three rows that follow each other.
     a, b = (xp.concat([x, x[..., :2, :]], axis=-2) for x in (a, b))
@@ -169,7 +174,8 @@ def cross_columns(a: Array, b: Array) -> Array:
 
 
 def dot_columns(a: Array, b: Array) -> Array:
-    """Scalar products (..., 1, N) of columns (..., n, N), n small: its rows are added, N numbers at a time."""
+    """Returns the scalar products (..., 1, N) of N columns ``a`` and ``b`` (..., n, N) with small n, whose rows are
+    added, N numbers at a time."""
     product = a * b
     if product.ndim <= 3:  # few wide matrices: one product adds the rows
         return like(product, [[1.0] * product.shape[-2]]) @ product

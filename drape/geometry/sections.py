@@ -11,10 +11,11 @@ from scipy.spatial import ConvexHull, QhullError
 
 
 class Section(NamedTuple):
-    """The cut of a plane: each of N triangles is crossed in a segment between two of M edges.
+    """Where a plane cuts a mesh: it crosses M edges, and N faces along a segment between two of these crossings.
 
-    ``face`` (N,) of the triangles, ``edge`` (M, 2) vertices, the smaller first, ``share`` (M,) of the way along the
-    edge at which it is crossed, ``ends`` (N, 2) rows of ``edge`` between which each segment lies.
+    ``face`` (N,): the faces. ``edge`` (M, 2): the vertices of the edges, the smaller first. ``share`` (M,) in [0, 1]:
+    the crossing's share of the way from the first to the second vertex. ``ends`` (N, 2): the crossings, as rows of
+    ``edge``, at the ends of each segment.
     """
 
     face: np.ndarray
@@ -23,13 +24,14 @@ class Section(NamedTuple):
     ends: np.ndarray
 
     def points(self, vertices: np.ndarray) -> np.ndarray:
-        """The crossings (M, 3) [m] on ``vertices`` [m] (V, 3)."""
+        """Returns the positions [m] (M, 3) of the crossings on the edges of a mesh at ``vertices`` [m] (V, 3)."""
         low, high = vertices[self.edge[:, 0]], vertices[self.edge[:, 1]]
         return low + self.share[:, None] * (high - low)
 
 
 class Ring(NamedTuple):
-    """A closed ring: its ``length_m``, its ``hull`` in the plane (x, z), and the ``rows`` of its segments."""
+    """A closed ring of a section: ``length_m``; ``hull``, its convex hull in the plane (x, z) [m]; and ``rows`` (n,),
+    its segments as rows of ``Section.face``."""
 
     length_m: float
     hull: ConvexHull
@@ -37,7 +39,8 @@ class Ring(NamedTuple):
 
 
 def level_section(faces: np.ndarray, vertices: np.ndarray, y: float) -> Section:
-    """The section of ``faces`` (F, 3) at ``vertices`` [m] (V, 3) by the plane at the height ``y`` [m].
+    """Returns the section of the mesh ``faces`` (F, 3), ``vertices`` [m] (V, 3) with the horizontal plane at the height
+    ``y`` [m].
 
     A vertex in the plane counts as below it, so no triangle is touched in a point alone.
     """
@@ -52,7 +55,8 @@ def level_section(faces: np.ndarray, vertices: np.ndarray, y: float) -> Section:
 
 
 def closed_rings(section: Section, vertices: np.ndarray) -> list[Ring]:
-    """The closed rings of ``section`` on ``vertices`` [m] (V, 3); a chain with loose ends is none."""
+    """Returns the closed rings of ``section``, a level section of a mesh at ``vertices`` [m] (V, 3). A chain with loose
+    ends is none."""
     place, ends = section.points(vertices)[:, [0, 2]], section.ends
     if not len(ends):
         return []
@@ -71,7 +75,8 @@ def closed_rings(section: Section, vertices: np.ndarray) -> list[Ring]:
 
 
 def convex_hull(points: np.ndarray) -> ConvexHull | None:
-    """The convex hull of ``points`` (n, 2), whose ``area`` is its girth; None where they lie in a line, or are few."""
+    """Returns the convex hull of ``points`` (n, 2), whose attribute ``area`` is its perimeter. None where they are
+    fewer than three, or lie on a line."""
     try:
         return ConvexHull(points) if len(points) > 2 else None
     except QhullError:

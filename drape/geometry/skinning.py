@@ -7,10 +7,10 @@ from drape.geometry.rotations import quaternion_to_matrix
 
 
 def skin_points(points: Array, weights: Array, rotations: Array, translations: Array) -> Array:
-    """Posed points [m] (..., n, 3): ``sum_j w_j (R_j x + t_j)``.
+    """Returns posed points [m] (..., n, 3): ``sum_j w_j (R_j x + t_j)``.
 
-    ``points`` (..., n, 3) in the rest pose, ``weights`` (n, J), bone rotations
-    (..., J, 3, 3) and translations (..., J, 3) from ``rigid.bone_transforms``.
+    ``points`` x [m] (..., n, 3) are in the rest pose, ``weights`` w (n, J); rotations R (..., J, 3, 3) and translations
+    t [m] (..., J, 3) are those of ``rigid.bone_transforms``.
     """
     xp = namespace(points)
     flat = xp.reshape(rotations, (*rotations.shape[:-2], 9))
@@ -21,13 +21,12 @@ def skin_points(points: Array, weights: Array, rotations: Array, translations: A
 def blend_frames(
     centres: Array, weights: Array, heaviest: Array, rotations: Array, translations: Array, bone_quaternions: Array
 ) -> tuple[Array, Array]:
-    """Rotations (..., K, 3, 3) and centres (..., K, 3) of rigidly blended frames.
+    """Returns the rotations (..., K, 3, 3) and the centres [m] (..., K, 3) of K frames that follow the posed bones.
 
-    A frame's centre moves by linear blend skinning; its rotation is the
-    normalised blend of the bones' quaternions (wxyz, (..., J, 4)), each given the
-    sign that agrees with the frame's ``heaviest`` bone (K,), so that the double
-    cover never cancels. ``weights`` (K, J), ``centres`` (..., K, 3) in the rest pose.
-    The norm is guarded: opposite quaternions of equal weight stay finite.
+    A frame's centre moves by linear blend skinning. Its rotation is the normalised blend of the bones' quaternions
+    (wxyz, (..., J, 4)), each with the sign that agrees with the frame's ``heaviest`` bone (K,), so that the double
+    cover never cancels. ``weights`` (K, J); ``centres`` [m] (..., K, 3) in the rest pose. The norm is guarded: opposite
+    quaternions of equal weight stay finite.
     """
     xp = namespace(centres)
     centre = skin_points(centres, weights, rotations, translations)

@@ -8,20 +8,21 @@ from scipy.sparse.linalg import SuperLU, splu
 
 
 def symmetric_factor(matrix: scipy.sparse.spmatrix) -> SuperLU:
-    """The factor of ``matrix``, ordered as a symmetric positive one: a third of the time of one that is not."""
+    """Returns the sparse factorisation of the symmetric positive ``matrix`` (N, N); its method ``solve`` solves with
+    it. A factor that uses the symmetry takes a third of the time of one that does not."""
     return _factor(matrix, "MMD_AT_PLUS_A")
 
 
 class ShiftedSystems:
-    """Systems (D + s M) x = b of one sparse symmetric ``matrix`` M (N, N) and diagonals D: the order in which they are
-    eliminated, a third of a factor's time, is found once."""
+    """Solves systems (D + s M) x = b with one sparse symmetric ``matrix`` M (N, N) and changing diagonals D. The order
+    of elimination, a third of a factor's time, is found once."""
 
     def __init__(self, matrix: scipy.sparse.spmatrix) -> None:
         self._matrix = scipy.sparse.csc_matrix(matrix)
         self._order: np.ndarray | None = None
 
     def solve(self, diagonal: np.ndarray, scale: float, right: np.ndarray) -> np.ndarray:
-        """x for the ``diagonal`` (N,), s = ``scale`` and b = ``right`` (N, ...)."""
+        """Returns the solution x (N, ...) for D = ``diagonal`` (N,), s = ``scale`` and b = ``right`` (N, ...)."""
         order = self._order
         if order is None:
             factor = symmetric_factor(scipy.sparse.diags(diagonal) + scale * self._matrix)

@@ -15,7 +15,8 @@ CHUNK_PAIRS = 1_000_000  # pairs of triangles looked at together: bounds the mem
 
 
 class Pairs(NamedTuple):
-    """``corner`` (N, 4), vertices: one and a triangle's in the first ``triangles`` rows, then two edges'."""
+    """N pairs of mesh elements by their vertices, ``corner`` (N, 4): in the first ``triangles`` rows a vertex and the
+    three of a triangle, then the two of one edge and the two of another."""
 
     corner: np.ndarray
     triangles: int
@@ -24,11 +25,11 @@ class Pairs(NamedTuple):
 def pairs_within(
     x: np.ndarray, faces: np.ndarray, edges: np.ndarray, reach_m: float
 ) -> tuple[Pairs, np.ndarray, np.ndarray]:
-    """Returns the pairs of points ``x`` [m] (V, 3) nearer than ``reach_m`` that share no vertex, the weights (N, 4) of
-    their corners, and the vectors (N, 3) [m] between the nearest points of each pair.
+    """Returns the pairs of elements nearer to each other than ``reach_m`` that share no vertex, weights (N, 4) of their
+    corners, and vectors [m] (N, 3) between the nearest points of each pair.
 
-    A pair is a vertex and one of ``faces`` (F, 3), or two of ``edges`` (E, 2). Its vector is the sum of its four
-    corners, each times its weight.
+    A pair is a vertex and one of ``faces`` (F, 3), or two of ``edges`` (E, 2), at ``x`` [m] (V, 3). Its vector is the
+    sum of its four corners, each times its weight, so weights sum to zero.
     """
     x, points = np.ascontiguousarray(x, np.float64), np.arange(len(x), dtype=np.int32)[:, None]
     faces, edges = np.ascontiguousarray(faces, np.int32), np.ascontiguousarray(edges, np.int32)
@@ -41,11 +42,11 @@ def pairs_within(
 
 
 def near_boxes(x: np.ndarray, first: np.ndarray, second: np.ndarray, reach_m: float) -> np.ndarray:
-    """Returns pairs (N, 2) of rows of ``first`` and ``second`` whose boxes are at most ``reach_m`` [m] apart along
-    every axis.
+    """Returns pairs (N, 2) int32 of rows of ``first`` and ``second`` whose axis-aligned boxes are at most ``reach_m``
+    apart along every axis.
 
-    A row has the vertices of an element; elements that share one are no pair. If both are the same elements, each pair
-    comes once, the lower number first.
+    A row holds the vertices, rows of ``x`` [m] (V, 3), of an element. Elements that share a vertex are no pair. If
+    ``first`` is ``second``, each pair comes once, the lower row first.
     """
     if not len(second):
         return np.zeros((0, 2), np.int32)
@@ -58,10 +59,11 @@ def near_boxes(x: np.ndarray, first: np.ndarray, second: np.ndarray, reach_m: fl
 
 
 def ways(x: np.ndarray, corner: np.ndarray, triangles: int) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the weights (N, 4) of the corners of each pair, and the vectors (N, 3) [m] between its nearest points,
-    which are the corners' sums by these weights.
+    """Returns weights (N, 4) of the corners of each pair, and the vectors [m] (N, 3) between its nearest points, which
+    are the sums of the corners by these weights.
 
-    ``corner`` (N, 4) are rows of ``x`` [m] (V, 3), of which the first ``triangles`` are a vertex and a triangle.
+    ``corner`` (N, 4): rows of ``x`` [m] (V, 3). In the first ``triangles`` pairs they are a vertex and a triangle, in
+    the others two edges.
     """
     weights, found = np.empty((len(corner), 4)), np.empty((len(corner), 3))
     call("ways", np.float64, x, corner, len(corner), triangles, weights, found)
@@ -72,7 +74,8 @@ def ways(x: np.ndarray, corner: np.ndarray, triangles: int) -> tuple[np.ndarray,
 
 
 def crossing_pairs(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Pairs (N, 2) of ``faces`` (F, 3) that share no vertex and cross at ``x`` [m] (V, 3), i < j, sorted.
+    """Returns the pairs (N, 2) of rows of ``faces`` (F, 3) that share no vertex and cross, with vertices at ``x`` [m]
+    (V, 3). The lower row is first, and pairs are sorted.
 
     Two triangles cross where an edge of one passes from one side of the other to the other side, within it (Moeller
     1997 states the same by intervals). Touching is not crossing: a corner or an edge that only reaches the other
