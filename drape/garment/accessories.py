@@ -35,14 +35,16 @@ NECK_M = 0.05  # an opening that reaches as far below the head's joint is round 
 
 
 def bones_that_carry(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[str, ...]:
-    """Returns the names of the bones that carry ``mesh`` [m], an accessory (``carriers_of``) or jewellery
-    (``jewellery_on``); none where it is cloth.
-    """
+    """Returns the names of the bones that carry ``mesh`` [m] rigidly, as an accessory (``carriers_of``) or else as
+    jewellery (``jewellery_on``). It is empty where ``mesh`` is cloth. ``skin`` (V, 3) [m]: the vertices of ``body`` in
+    the pose in which it wears ``mesh``."""
     return carriers_of(mesh, skin, body) or jewellery_on(mesh, skin, body)
 
 
 def carriers_of(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[str, ...]:
-    """The bones that carry the pieces of ``mesh`` [m] on ``body`` with the skin (V, 3); none where it is cloth."""
+    """Returns the names of the bones that carry the pieces of the accessory ``mesh`` [m], each once, that of the
+    largest piece first. It is empty where ``mesh`` is cloth. ``skin`` (V, 3) [m]: the vertices of the posed
+    ``body``."""
     label, area = pieces_of(mesh.vertices, mesh.faces)
     bones, solid = [], 0.0
     for number in range(len(area)):
@@ -55,7 +57,9 @@ def carriers_of(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[s
 
 
 def carried_rows(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, bones: Sequence[str]) -> np.ndarray:
-    """The number (V,) of the bone that carries each vertex: for its piece that of ``bones`` which is nearest."""
+    """Returns for each vertex the joint number (V,) int of the bone that carries it: of the named ``bones`` the one
+    nearest to the middle of the vertex's connected piece. ``vertices`` (V, 3) and ``joints`` (24, 3) [m] are in one
+    pose."""
     piece = mesh_graphs.connected_components(faces, len(vertices))
     count = np.bincount(piece)
     middle = np.stack([np.bincount(piece, column) for column in vertices.T], axis=1) / np.maximum(count, 1)[:, None]
@@ -70,7 +74,8 @@ def carried_rows(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, bo
 
 
 def accessory_of(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> str | None:
-    """The bone that carries ``mesh`` [m], one piece, on ``body`` with the ``skin`` (V, 3) [m], or None for cloth."""
+    """Returns the name of the bone that carries ``mesh`` [m], a single piece, rigidly; None if the piece is cloth.
+    ``skin`` (V, 3) [m]: the vertices of the posed ``body``."""
     bone, cloth = _carried_by(mesh, skin, body)
     return None if cloth else bone
 

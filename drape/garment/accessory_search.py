@@ -21,10 +21,10 @@ from drape.garment.accessories import CARRIERS, carriers_of
 from drape.garment.contours import open_contours
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.mesh_checks import UNITS_M
+from drape.garment.reading_hints import NO_HINTS, ReadingHints
 from drape.garment.registration import posed_by
 from drape.garment.seats import Seat, are_glasses, is_as_large
 from drape.garment.sheets import pieces_of
-from drape.garment.told_reading import NOTHING_TOLD, ToldReading
 from drape.garment.wearer_fields import SHAPES, cloth_points, known_parameters, thin_body
 from drape.garment.wearer_reading import USUAL_FRONTS, Reading, WearerCandidate, readings_of
 from drape.geometry import meshes
@@ -71,30 +71,34 @@ class _Place(NamedTuple):
     number: int
 
 
-def accessory_wearer(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING_TOLD) -> WearerCandidate | None:
-    """A body that wears the checked ``mesh`` on its head or its feet, None where ``mesh`` may be cloth."""
+def accessory_wearer(mesh: GarmentMesh, body: BodyModel, hints: ReadingHints = NO_HINTS) -> WearerCandidate | None:
+    """Returns the body that wears ``mesh``, a checked mesh in the frame of its file, as a hat, glasses or shoes: one of
+    the known bodies, moved to the mesh. None where no bone carries ``mesh`` there, as it is with cloth. ``hints``: what
+    was stated of the file."""
     points, face = cloth_points(mesh.vertices, mesh.faces, COUNT)
     areas = meshes.face_areas(mesh.vertices, mesh.faces)
     level = areas.sum() / COUNT * meshes.face_normals(mesh.vertices, mesh.faces)[face]
     likeliest: dict[tuple[Reading, tuple[str, ...]], _Spot] = {}
-    for one in sorted(_spots(points, level, body, told), key=lambda one: one.far - (IN_PLACE_M if one.origin else 0.0)):
-        likeliest.setdefault((one.reading, one.bones), one)
-    for one in list(likeliest.values())[:TRIED]:
-        parameters = known_parameters(body, one.shape, 0.0, 0.0)
-        parameters[-3:] -= one.move
-        sure = SURE if one.origin else SURE_ANYWHERE
+    for spot in sorted(
+        _spots(points, level, body, hints), key=lambda spot: spot.far - (IN_PLACE_M if spot.origin else 0.0)
+    ):
+        likeliest.setdefault((spot.reading, spot.bones), spot)
+    for spot in list(likeliest.values())[:TRIED]:
+        parameters = known_parameters(body, spot.shape, 0.0, 0.0)
+        parameters[-3:] -= spot.move
+        sure = SURE if spot.origin else SURE_ANYWHERE
         worn = WearerCandidate(
-            one.reading, body, parameters, one.far, 0.0, 0.0, one.far, sleeved=False, origin=one.origin, sure=sure
+            spot.reading, body, parameters, spot.far, 0.0, 0.0, spot.far, sleeved=False, origin=spot.origin, sure=sure
         )
-        worn, bones = _seated(mesh, worn, one.bones)
-        if bones and (are_glasses(one.reading.apply(points)) or _openings(mesh) <= MOST_OPENINGS):
+        worn, bones = _seated(mesh, worn, spot.bones)
+        if bones and (are_glasses(spot.reading.apply(points)) or _openings(mesh) <= MOST_OPENINGS):
             return worn
     return None
 
 
 def seated(mesh: GarmentMesh, wearer: WearerCandidate) -> WearerCandidate:
-    """Returns ``wearer`` moved so that the ``mesh`` is on its seat, if a bone carries it; otherwise ``wearer`` as it
-    is."""
+    """Returns ``wearer``, a body in the frame that its reading gives, moved so that ``mesh``, in the frame of its file,
+    sits on its head or its feet as worn. If no bone carries ``mesh``, ``wearer`` is returned as it is."""
     extent = float(np.ptp(mesh.vertices[mesh.faces], axis=(0, 1)).max()) * wearer.reading.scale
     if extent > EXTENT_M[1]:
         return wearer
@@ -122,16 +126,16 @@ def _openings(mesh: GarmentMesh) -> int:
     return sum(one.length_m > least for one in open_contours(mesh.vertices, largest))
 
 
-def _spots(points: np.ndarray, normals: np.ndarray, body: BodyModel, told: ToldReading) -> Iterator[_Spot]:
+def _spots(points: np.ndarray, normals: np.ndarray, body: BodyModel, hints: ReadingHints) -> Iterator[_Spot]:
     """Where the thing with ``points`` (N, 3) of the file may be worn, in every reading; ``normals`` (N, 3) are as long
     as the area of each."""
-    units = UNITS_M.items() if told.unit is None else (told.unit,)
-    for reading in readings_of(units, told.up, told.front):
+    units = UNITS_M.items() if hints.unit is None else (hints.unit,)
+    for reading in readings_of(units, hints.up, hints.front):
         at = reading.apply(points)
         extent = np.ptp(at, axis=0)
-        if not EXTENT_M[0] <= extent.max() <= EXTENT_M[1] or (told.up is None and reading.up not in ("+y", "+z")):
+        if not EXTENT_M[0] <= extent.max() <= EXTENT_M[1] or (hints.up is None and reading.up not in ("+y", "+z")):
             continue
-        usual = told.front is not None or reading.front in USUAL_FRONTS.get(reading.up, ())
+        usual = hints.front is not None or reading.front in USUAL_FRONTS.get(reading.up, ())
         shapes: list[int] = []
         if usual and extent[2] > TEMPLES_M and are_glasses(at):
             shapes = [HEAD]
@@ -185,8 +189,8 @@ def _places(body: BodyModel, shape: str) -> tuple[list[_Place], float]:
     """The ``PLACES`` of a known shape, and how far below its root it stands [m], as a negative number."""
     thin = thin_body(body)
     skin, bone = posed_by(thin, known_parameters(body, shape, 0.0, 0.0)), thin.weights.argmax(axis=1)
-    found = []
+    places = []
     for number, (bones, *_) in enumerate(PLACES):
         own = skin[np.isin(bone, [JOINT_NAMES.index(name) for name in bones])]
-        found.append(_Place(own.min(axis=0), own.max(axis=0), KDTree(own), number))
-    return found, float(skin[:, 1].min())
+        places.append(_Place(own.min(axis=0), own.max(axis=0), KDTree(own), number))
+    return places, float(skin[:, 1].min())

@@ -31,11 +31,12 @@ NUMBER_LIMIT = 1e6  # beyond it SMPL parameters are a mistake, and squares overf
 
 @dataclass(frozen=True, eq=False)
 class Avatar:
-    """A body in the pose that garments were modelled on; row i is row i of the standard body.
+    """A body in the pose that a garment was modelled on, with the topology of the standard body: vertex i is its vertex
+    i.
 
-    ``vertices`` [m] (V, 3), y up, facing +z; ``faces`` (F, 3); ``residual_mm`` how far the
-    correspondence is from the surface that was given; ``source`` says where it came from;
-    ``moved`` is False where avatar and standard body are the same.
+    ``vertices`` [m] (V, 3), y up, facing +z; ``faces`` (F, 3). ``residual_mm``: the mean distance between the avatar as
+    it was given and this body, 0 where the vertices are its own. ``source``: where it came from, in words. ``moved``:
+    False if the vertices are those of the standard body in T-pose.
     """
 
     vertices: np.ndarray
@@ -47,10 +48,11 @@ class Avatar:
 
 @dataclass(frozen=True, eq=False)
 class PhenotypeSpace:
-    """anny's adult rest shapes at the corners of its grid of anchors, as vectors of a common basis.
+    """anny's rest shapes of adults at the corners of a grid of phenotypes.
 
-    The axes of the grid are called ``labels``, and ``anchors`` are the values on each. The vertices of a corner are
-    ``mean`` (V, 3) and a sum over ``basis``, weighted by its row of ``coefficients``.
+    ``labels``: the names of the grid's axes. ``anchors``: the ascending grid values on each axis. A corner has the
+    vertices [m] ``mean`` (V, 3) + ``step_m`` times its row of ``coefficients`` (C, B) times ``basis`` (B, 3 V).
+    ``base_vertices`` (V,): the rows of these vertices in MakeHuman's base mesh, which has ``base_vertex_count``.
     """
 
     labels: tuple[str, ...]
@@ -63,7 +65,8 @@ class PhenotypeSpace:
     base_vertex_count: int
 
     def check(self, phenotype: dict[str, Any]) -> dict[str, float]:
-        """Returns ``phenotype`` as numbers, absent entries at 0.5 (age at 2/3, a young adult)."""
+        """Returns a number for each of ``labels``, clipped to its anchors; absent ones are 0.5, and age is 2/3 (a young
+        adult). Raises ``BodyError`` for an unknown label, and for a value that is no number or is out of range."""
         unknown = sorted(set(phenotype) - set(self.labels))
         if unknown:
             raise BodyError(
@@ -89,7 +92,8 @@ class PhenotypeSpace:
         return checked
 
     def vertices(self, phenotype: dict[str, Any]) -> np.ndarray:
-        """anny's rest vertices [m] (V, 3), y up, of the checked ``phenotype``; origin at anny's root."""
+        """Returns anny's rest vertices [m] (V, 3) of ``phenotype``, interpolated linearly between corners; y up, the
+        origin at anny's root. Raises ``BodyError`` as ``check`` does."""
         corner_weight = np.ones(1)
         for value, anchors in zip(self.check(phenotype).values(), self.anchors, strict=True):
             # Hat functions on the anchors: the values that linearly interpolate one-hot data.
@@ -101,7 +105,7 @@ class PhenotypeSpace:
 
 @lru_cache(maxsize=2)
 def load_phenotypes(path: Path = AVATARS_FILE) -> PhenotypeSpace:
-    """The phenotype space stored at ``path``; raises ``ArtifactError`` when the asset is absent or damaged."""
+    """Returns the phenotype space stored at ``path``; raises ``ArtifactError`` if the file is absent or damaged."""
     try:
         header, arrays = read_packed(path)
         return PhenotypeSpace(
@@ -124,12 +128,13 @@ def load_phenotypes(path: Path = AVATARS_FILE) -> PhenotypeSpace:
 
 
 def standard_avatar(body: BodyModel) -> Avatar:
-    """The standard body itself, in T-pose."""
+    """Returns ``body`` itself, its template vertices in T-pose, as an avatar with ``moved`` False."""
     return Avatar(body.v_template, body.faces, 0.0, STANDARD, moved=False)
 
 
 def phenotype_avatar(phenotype: dict[str, Any], body: BodyModel) -> Avatar:
-    """anny's avatar of ``phenotype``, in anny's relaxed A-pose."""
+    """Returns anny's body of ``phenotype`` in anny's relaxed A-pose, as an avatar; ``body`` is fitted to it if its
+    topology is another. Raises ``BodyError`` for a phenotype that ``PhenotypeSpace.check`` refuses."""
     space = load_phenotypes()
     vertices = space.vertices(phenotype)
     source = "phenotype " + " ".join(f"{label} {value:.3g}" for label, value in space.check(phenotype).items())
@@ -144,7 +149,9 @@ def phenotype_avatar(phenotype: dict[str, Any], body: BodyModel) -> Avatar:
 
 
 def smpl_avatar(parameters: dict[str, Any], body: BodyModel) -> Avatar:
-    """The standard body's model with ``betas`` (at most 10), ``pose`` (72 or 24 x 3) and ``trans`` (3)."""
+    """Returns ``body`` with the SMPL ``parameters`` "betas" (at most 10), "pose" (72 or 24 x 3) [rad] and "trans"
+    (3) [m], zero if absent, as an avatar. Raises ``BodyError`` for other entries, and for values that are no such
+    numbers."""
     unknown = sorted(set(parameters) - {"betas", "pose", "trans"})
     if unknown:
         raise BodyError(
@@ -174,9 +181,10 @@ def _numbers(name: str, value: Any, count: int | None) -> np.ndarray:
 
 
 def mesh_avatar(path: Path, body: BodyModel) -> Avatar:
-    """Returns the avatar in a mesh file.
+    """Returns the avatar in the mesh file at ``path``, scaled to metres.
 
-    MakeHuman's base mesh is taken vertex by vertex; to any other surface the standard body is fitted.
+    MakeHuman's base mesh gives its vertices; to any other surface ``body`` is fitted. Raises ``MeshError`` for a file
+    that cannot be read, and ``BodyError`` for a surface that is not an upright person.
     """
     from drape.garment.files.mesh import AVATAR_VERTEX_LIMIT, read_mesh
     from drape.garment.registration import body_units, register_body
@@ -207,11 +215,13 @@ def _same_topology(vertices: np.ndarray, space: PhenotypeSpace) -> bool:
 def parse_avatar(
     avatar: str | Path | dict[str, Any] | None, *, beside: Path | None = None, allow_paths: bool = True
 ) -> dict[str, Any] | Path | str | None:
-    """The meaning of ``avatar``: a dictionary, a mesh file, ``standard``, or None where the garment has no avatar.
+    """Returns what ``avatar`` names: a dictionary of parameters, the path of a mesh file, "standard", or None where the
+    garment has no avatar.
 
-    Text may be JSON, a path to a mesh or to a JSON file, or a name in the table ``beside`` the garment, in
-    DRAPE_DATA/garments or in the shipped one. None looks the garment's own name up in the tables. Raises ``NotFound``
-    for text that is none of these, and ``BodyError`` for broken JSON. Paths are refused unless ``allow_paths``.
+    Text is JSON, a path to a mesh or to a JSON file, or a name in a table avatars.json: the one ``beside`` the
+    garment's file, in DRAPE_DATA/garments, or the shipped one. For None the tables are searched for the garment's own
+    name. Raises ``NotFound`` for text that is none of these, ``BodyError`` for broken JSON. Without ``allow_paths`` a
+    path is only a name.
     """
     if avatar is None:
         found = entry_for(beside.name, [beside.parent, SHIPPED_FOLDER]) if beside is not None else None
@@ -271,7 +281,8 @@ def _parse_json(name: str, text: str) -> dict[str, Any]:
 
 
 def read_avatar(meaning: dict[str, Any] | Path | str | None, body: BodyModel) -> Avatar:
-    """The avatar of a parsed meaning; None stands for the standard body."""
+    """Returns the avatar that ``meaning``, as ``parse_avatar`` returns it, describes; for None it is the standard
+    ``body``. Raises ``BodyError`` for one that is no body, and ``MeshError`` for a mesh file that cannot be read."""
     if meaning is None or meaning == STANDARD:
         return standard_avatar(body)
     if isinstance(meaning, dict):

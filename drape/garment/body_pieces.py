@@ -28,9 +28,10 @@ SMALL, ALONE = 0.03, 0.01  # of the body's area: what is inside of it, as eyes a
 
 
 def without_bodies(mesh: GarmentMesh, body: BodyModel) -> GarmentMesh:
-    """Returns ``mesh`` without the bodies in it, and without what is inside of these; itself where there are none.
+    """Returns ``mesh`` without the connected pieces that look like human bodies, and without small pieces inside these,
+    with a note. If there are none, ``mesh`` itself is returned.
 
-    Raises ``MeshError`` where nothing else is in the file.
+    Raises ``MeshError`` where hardly any area is left.
     """
     points, place = np.unique(mesh.vertices, axis=0, return_inverse=True)  # seams of uv are no borders
     faces = place.reshape(-1)[mesh.faces]
@@ -83,10 +84,10 @@ def _is_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> bool:
 def _known_skins(body: BodyModel) -> list[tuple[np.ndarray, KDTree]]:
     """Points on the skin of the known bodies and trees of them, in heights, the middle of their box at the origin."""
     thin = thin_body(body)
-    found = []
+    skins = []
     for shape, lift_rad, bent_rad, _ in KNOWN:
         skin = posed_by(thin, known_parameters(body, shape, lift_rad, bent_rad))
         points, _ = cloth_points(skin, thin.faces, COUNT)
         points = (points - 0.5 * (skin.min(axis=0) + skin.max(axis=0))) / np.ptp(skin[:, 1])
-        found.append((points, KDTree(points)))
-    return found
+        skins.append((points, KDTree(points)))
+    return skins

@@ -30,10 +30,14 @@ ARRAYS = ("faces", "uv", "uv_faces", "face_material", "corner", "weight", "offse
 
 @dataclass(frozen=True, eq=False)
 class BoundMesh:
-    """A mesh of D vertices as it was delivered: ``faces`` (F, 3), ``uv`` (T, 2), ``uv_faces`` (F, 3) or both empty,
-    ``material_names`` and ``face_material`` (F,); and where its vertices hang on the cloth: ``corner`` (D, 3) its
-    vertices, ``weight`` (D, 3), ``offset`` (D, 3) [m] along t, n x t and n, and ``kind`` (D,). ``looks`` are of the
-    materials."""
+    """A delivered mesh of D vertices, and how each of them follows the vertices of another mesh, the cloth.
+
+    ``faces`` (F, 3), ``uv`` (T, 2), ``uv_faces`` (F, 3), ``material_names`` and ``face_material`` (F,) are as in
+    ``GarmentMesh``. A vertex hangs on a triangle of the cloth: ``corner`` (D, 3), rows of the cloth's vertices;
+    ``weight`` (D, 3), barycentric; ``offset`` (D, 3) [m], along t, n x t and the normal n. ``kind`` (D,) uint8: ``ON``
+    the triangle, ``OFF`` it along the cloth's vertex normals, or ``STIFF``, off it in the triangle's own frame.
+    ``looks``: those of the materials.
+    """
 
     name: str
     material_names: tuple[str, ...]
@@ -53,18 +57,19 @@ class BoundMesh:
 
     @property
     def heaviest(self) -> np.ndarray:
-        """The corner (D,) with the largest share in each vertex, on whose patches it lies."""
+        """Returns for each drawn vertex the row (D,) of the cloth's vertex with the largest weight in it."""
         return np.take_along_axis(self.corner, self.weight.argmax(axis=1)[:, None], axis=1)[:, 0]
 
     def shares(self, count: int) -> scipy.sparse.csr_matrix:
-        """The matrix (D, ``count``) that takes numbers of the cloth's vertices to the drawn ones."""
+        """Returns the sparse matrix (D, ``count``) of the weights: it interpolates values of the cloth's ``count``
+        vertices to the drawn ones."""
         rows = np.repeat(np.arange(len(self.corner)), 3)
         value = self.weight.reshape(-1), (rows, self.corner.reshape(-1))
         return scipy.sparse.csr_matrix(value, (len(self.corner), count))
 
 
 class Drawer:
-    """Draws a bound mesh on cloth of ``faces`` (F, 3)."""
+    """Computes the vertices of a bound mesh from those of its cloth, whose triangles are ``faces`` (F, 3)."""
 
     def __init__(self, bound: BoundMesh, faces: np.ndarray) -> None:
         self._bound = bound
@@ -72,17 +77,16 @@ class Drawer:
         self._faces = np.ascontiguousarray(faces[np.isin(faces, self._asked).any(axis=1)], dtype=np.int32)
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """The arrays that ``drape_draw_bound`` takes beside the cloth and the counts, in its order.
-
-        They are the faces (F, 3) around the vertices (N,) of the cloth whose normals are asked for, then corner,
-        weight, offset, kind; numbers as float32.
-        """
+        """Returns the arrays that the engine's ``drape_draw_bound`` takes, in its order: the cloth's faces (F, 3) that
+        vertex normals are computed from, the cloth's vertices (N,) that need normals, and ``corner``, ``weight``,
+        ``offset`` and ``kind`` of the bound mesh. Integers are int32, numbers float32, kinds uint8."""
         bound = self._bound
         numbers = bound.weight.astype(np.float32), bound.offset.astype(np.float32)
         return self._faces, self._asked.astype(np.int32), bound.corner, *numbers, bound.kind
 
     def draw(self, cloth: np.ndarray) -> np.ndarray:
-        """The drawn vertices [m] (D, 3) where the cloth's are at ``cloth`` [m] (V, 3), of the same type."""
+        """Returns the drawn vertices [m] (D, 3) for the cloth's vertices ``cloth`` [m] (V, 3), in the same frame and
+        dtype."""
         bound, dtype = self._bound, cloth.dtype
         drawn = np.empty((bound.vertex_count, 3), dtype)
         weight, offset = bound.weight.astype(dtype, copy=False), bound.offset.astype(dtype, copy=False)
@@ -102,10 +106,12 @@ def bind(
     part: np.ndarray,
     beyond: np.ndarray | None = None,
 ) -> BoundMesh:
-    """Returns ``mesh`` with its vertices at ``places`` [m] (D, 3), hung on ``cloth`` [m] (V, 3) of ``faces`` (F, 3).
+    """Returns ``mesh``, whose vertices are at ``places`` [m] (D, 3), bound to the cloth with vertices ``cloth`` [m] (V,
+    3) and triangles ``faces`` (F, 3).
 
-    ``row`` (D,): the cloth's vertex that a drawn one is, else -1. ``part`` (D,): the number of the stiff part that it
-    belongs to, else -1. ``beyond`` (D, 3) [m]: where to look for the cloth of each, if not at its place.
+    ``row`` (D,): the cloth's vertex that is the drawn one, else -1. ``part`` (D,): the number of the stiff part that it
+    belongs to, else -1. ``beyond`` (D, 3) [m]: positions from which the nearest triangle is searched, by default
+    ``places``.
     """
     count = len(places)
     weight, kind = np.tile([1.0, 0.0, 0.0], (count, 1)), np.full(count, ON, dtype=np.uint8)
@@ -143,7 +149,8 @@ def bind(
 
 
 def frames(corners: np.ndarray) -> np.ndarray:
-    """The axes t, n x t and n (N, 3, 3), as rows, of triangles with ``corners`` (N, 3, 3)."""
+    """Returns orthonormal frames (N, 3, 3) of triangles with ``corners`` (N, 3, 3). Their rows are t, the direction of
+    the first edge; n x t; and n, the unit normal."""
     along = corners[:, 1] - corners[:, 0]
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     up = np.cross(along, corners[:, 2] - corners[:, 0])

@@ -45,16 +45,17 @@ SAME_M = 5e-7  # float32 of places within a few metres
 
 @dataclass(frozen=True, eq=False)
 class Atlas:
-    """One partition of a garment at rest: its patches, and the charts by which they cover its N vertices.
+    """One partition of a garment at rest into K patches, and the charts by which they cover its N vertices.
 
-    Patches: ``patch_rotation`` (K, 3, 3), columns = u axis, v axis, normal; ``patch_centre``
-    (K, 3); ``patch_scale`` (K,) [m per unit of u, v]; ``patch_jet`` (K, 27) rest vector jet;
-    ``patch_weights`` (K, 24) bone weights; ``patch_shapedirs`` (K, 3, S) movement of the centre
-    per unit of body shape; ``patch_features`` (K, D) what the garment encoder reads;
-    ``patch_neighbours`` (E, 2) pairs of patches that share a boundary.
+    Patches, in the body's frame: ``patch_rotation`` (K, 3, 3), columns u axis, v axis, normal; ``patch_centre`` [m] (K,
+    3); ``patch_scale`` (K,) [m per unit of u, v]; ``patch_jet`` (K, 27), the jet at rest [patch scales];
+    ``patch_weights`` (K, 24), bone weights; ``patch_shapedirs`` (K, 3, S), movement of the centre [m per unit of beta];
+    ``patch_features`` (K, D), input of the garment encoder; ``patch_neighbours`` (E, 2), pairs of patches that share a
+    boundary.
 
-    Charts: ``chart_patch`` (N, 4), ``chart_uv`` (N, 4, 2), ``chart_weight`` (N, 4), rows summing to
-    one, ``chart_residual`` (N, 4, 3) [m] what the rest jet leaves over, in the patch frame.
+    Charts, four a vertex: ``chart_patch`` (N, 4), the patch; ``chart_uv`` (N, 4, 2), the place in it; ``chart_weight``
+    (N, 4), rows summing to one, 0 for a chart that is not used; ``chart_residual`` (N, 4, 3) [m], rest position minus
+    jet, in the patch's frame.
     """
 
     patch_rotation: np.ndarray
@@ -76,11 +77,12 @@ class Atlas:
 
     @property
     def heaviest_bone(self) -> np.ndarray:
-        """The bone with the largest weight of each patch (K,), int64."""
+        """Returns for each patch the joint number (K,) int64 of the bone with the largest weight."""
         return np.argmax(self.patch_weights, axis=1).astype(np.int64)
 
     def chart_local(self) -> np.ndarray:
-        """Rest positions [m] of every vertex in each of its patch frames (N, 4, 3): jet plus residual."""
+        """Returns the rest positions [m] (N, 4, 3) of every vertex in the frames of its four patches, from the patches'
+        centres."""
         jet = self.patch_jet[self.chart_patch].astype(np.float64)
         scale = self.patch_scale[self.chart_patch].astype(np.float64)[..., None]
         return scale * jets.evaluate_jet(jet, self.chart_uv.astype(np.float64)) + self.chart_residual
@@ -95,14 +97,16 @@ class Garment(Atlas):
 
     ``vertices`` (N, 3): positions at rest. ``faces`` (F, 3): the delivered triangles. ``fine_faces`` (G, 3): the
     triangles of the subdivided mesh. ``uv`` (T, 2) and ``uv_faces`` (F, 3): texture coordinates, empty if the file has
-    none. ``material_names`` and ``face_material`` (F,): the materials, and which of them a triangle has.
+    none. ``material_names`` and ``face_material`` (F,): the materials, and the number of each triangle's.
 
     ``rest_edges`` (G, 2, 2), ``rest_angle`` (H,) and ``rest_stiffening`` (H,): the ``RestState`` of ``fine_faces``.
     They are None in files of older versions; ``rest_state`` returns one for every garment. ``fabric``: the name of a
-    fabric, or its numbers as ``drape.cloth.fabric_table.fabric`` takes them. ``looks`` are of the materials.
-    ``drawn``: the mesh of the file, where the cloth is another: it hangs on the delivered vertices, which then are some
-    of its own. Cloth that was thinned has no material of it, and no look. Of a mantle, which covers arms and has no
-    sleeves: ``arm_share`` (N,) as ``skin.bind_to_body`` takes it, and ``arm_ways`` [m] (N, K, 3) of ``mantle_shapes``.
+    fabric, or its numbers as ``drape.cloth.fabric_table.fabric`` takes them. ``looks``: those of the materials.
+
+    ``drawn``: the mesh of the file, bound to the cloth, where another mesh is draped in its place; None where the cloth
+    is the mesh of the file. Only a mantle, which covers arms and has no sleeves, has ``arm_share`` (N,), how far each
+    vertex follows its arm, and ``arm_ways`` [m] (N, K, 3), displacements from rest for K directions of the arms
+    (``mantle_shapes``).
     """
 
     name: str
@@ -128,16 +132,18 @@ class Garment(Atlas):
 
     @property
     def carriers(self) -> tuple[str, ...]:
-        """The bones that carry it, where it is no cloth but a hat or shoes."""
+        """Returns the names of the bones that carry the garment rigidly, as a hat or shoes; empty for cloth."""
         return tuple(self.manifest.get("carried_by", ()))
 
     @property
     def surface(self) -> Garment | BoundMesh:
-        """The surface that is drawn: the delivered triangles, or the mesh that hangs on them."""
+        """Returns the mesh to draw: ``drawn``, or the garment itself with its delivered triangles if ``drawn`` is
+        None."""
         return self if self.drawn is None else self.drawn
 
     def drawn_vertices(self, vertices: np.ndarray) -> np.ndarray:
-        """Where ``surface`` is [m] (..., D, 3) while the delivered vertices are at ``vertices`` [m] (..., V, 3)."""
+        """Returns the vertices [m] (..., D, 3) of ``surface`` when the delivered vertices are at ``vertices`` [m] (...,
+        V, 3), in the same frame."""
         if self.drawn is None:
             return vertices
         drawer = self.drawer
@@ -145,29 +151,30 @@ class Garment(Atlas):
         return np.stack([drawer.draw(one) for one in flat]).reshape(*vertices.shape[:-2], -1, 3)
 
     def drawn_at_rest(self) -> np.ndarray:
-        """The vertices [m] (D, 3) of ``surface`` at rest, float32."""
+        """Returns the vertices [m] (D, 3) float32 of ``surface`` at rest."""
         return self.drawn_vertices(self.vertices[: self.vertex_count].astype(np.float32, copy=False))
 
     @cached_property
     def drawer(self) -> Drawer:
-        """The ``Drawer`` of ``drawn``; the garment must have that mesh."""
+        """Returns what computes the vertices of ``drawn`` from the delivered ones; ``drawn`` must not be None."""
         assert self.drawn is not None
         return Drawer(self.drawn, self.faces)
 
     def skin_weights(self, body: BodyModel) -> np.ndarray:
-        """Returns the bone weights (N, 24) of plain skinning on ``body``, for which the garment was made. They are
-        computed once."""
+        """Returns the bone weights (N, 24) float32 of linear skinning, rows summing to one. ``body`` is the one that
+        the garment was made for; they are computed once."""
         if "_skin_weights" not in self.__dict__:
             self.__dict__["_skin_weights"] = self.binding(body).weights.astype(np.float32)
         return self.__dict__["_skin_weights"]
 
     def binding(self, body: BodyModel) -> BodyBinding:
-        """Returns the bone weights and the shape movement of all vertices on ``body``, for which the garment was
+        """Returns the bone weights and the shape movement of all N vertices on ``body``, for which the garment was
         made."""
         return bind_to_body(self.vertices, self.fine_faces, body, arm=self.arm_share)
 
     def rest_state(self) -> RestState:
-        """The cloth of ``fine_faces`` without stress; where none is stored, that which ``rest_detail.rest_of`` finds.
+        """Returns the rest state of the triangles ``fine_faces``: the stored one, or if there is none the one that
+        ``rest_detail.rest_of`` finds.
 
         Raises ``ArtifactError`` where the stored arrays do not fit the mesh.
         """
@@ -188,7 +195,8 @@ class Garment(Atlas):
         return RestState(*(np.asarray(array, dtype=np.float64) for array in stored))
 
     def delivered_rest(self) -> RestState:
-        """The delivered triangles without stress: what is stored, unless they were subdivided."""
+        """Returns the rest state of the triangles ``faces``: the stored one, or if they were subdivided the one that
+        ``rest_detail.rest_of`` finds."""
         if len(self.vertices) == self.vertex_count:
             return self.rest_state()
         return self._rest_of_mesh(self.vertices[: self.vertex_count], self.faces)
@@ -212,7 +220,8 @@ _TEXT_FIELDS = ("name", "digest", "body_digest", "vertex_count", "material_names
 
 
 def save_garment(garment: Garment, folder: Path, *, quick: bool = False) -> Path:
-    """Writes the cache file into ``folder`` atomically and returns its path; ``quick`` as in ``packed``.
+    """Writes ``garment`` into ``folder``, which is made if needed, and returns the path of the cache file. The file is
+    written atomically; ``quick`` packs it faster and larger (``files.packed``).
 
     Raises ``Unavailable`` where the folder cannot be made or written.
     """
@@ -253,7 +262,7 @@ def save_garment(garment: Garment, folder: Path, *, quick: bool = False) -> Path
 
 
 def load_garment(path: Path) -> Garment:
-    """The garment stored at ``path``; raises ``ArtifactError`` when the file is damaged or of another format."""
+    """Returns the garment stored at ``path``; raises ``ArtifactError`` if the file is damaged or of another format."""
     try:
         header, arrays = read_packed(path)
         version = header.pop("format_version", None)
@@ -275,8 +284,8 @@ def load_garment(path: Path) -> Garment:
         if "chart_residual" not in arrays:
             arrays["chart_residual"] = _residual(arrays).astype(np.float32)
         arrays |= {name: np.ascontiguousarray(arrays[name]) for name in _BY_COLUMNS}
-        told = header.pop("looks", None)
-        looks = NO_LOOKS if told is None else looks_of(told, arrays.pop("pictures"))
+        stored = header.pop("looks", None)
+        looks = NO_LOOKS if stored is None else looks_of(stored, arrays.pop("pictures"))
         if (materials := header.pop("drawn_materials", None)) is not None:
             own = [np.ascontiguousarray(arrays.pop(f"drawn_{name}")) for name in BOUND_ARRAYS]
             arrays["drawn"] = BoundMesh(header["name"], tuple(map(str, materials)), *own, looks=looks)
@@ -309,7 +318,8 @@ def _refused(name: str, expected: str, got: object) -> ArtifactError:
 
 @refusing
 def main(arguments: list[str] | None = None) -> int:
-    """Prints what a cache file holds; 2 where it cannot be read."""
+    """Prints the names, types and shapes of a cache file's arrays and its manifest. Returns the exit status: 0, or 2 if
+    the file cannot be read."""
     parser = argparse.ArgumentParser(prog="python -m drape.garment.cache", description="What a garment's file holds.")
     parser.add_argument("file", type=Path, help="NAME-DIGEST.npz, as the intake stores it")
     path = parser.parse_args(arguments).file

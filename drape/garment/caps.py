@@ -28,8 +28,11 @@ RIM_SHARE = 0.15  # of the extent: a shorter rim lets no hand through
 
 
 def without_caps(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Returns which ``faces`` (F, 3) of the mesh with ``points`` [m] (N, 3) are not of a cap, bool (F,): a disc that
-    closes a sleeve, a leg or a hem, and has another far from it on the same piece."""
+    """Returns bool (F,), False for those of ``faces`` (F, 3) that belong to a cap. ``points`` [m] (N, 3) are the mesh's
+    vertices.
+
+    A cap is a disc with a sharp rim that closes a sleeve, a leg or a hem; the same piece has another one far from it.
+    """
     areas = meshes.face_areas(points, faces)
     piece = mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
     label, likely = _likely_caps(points, faces, areas, piece)
@@ -50,10 +53,11 @@ def without_caps(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def without_pits(points: np.ndarray, faces: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Returns which ``faces`` (F,) bool of the mesh with ``points`` [m] (N, 3) do not belong to a pit.
+    """Returns bool (F,), False for those of ``faces`` (F, 3) that belong to a pit. ``points`` [m] (N, 3) are the mesh's
+    vertices.
 
     A pit closes a tube inside: a floor that a bone between ``joints`` [m] (24, 3) goes through, and the walls around it
-    that look towards the bone. Refuses a one-sided surface.
+    that look towards the bone. Raises ``MeshError`` for a one-sided surface.
     """
     keep, piece = np.ones(len(faces), dtype=bool), mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
     areas, middles = meshes.face_areas(points, faces), points[faces].mean(axis=1)

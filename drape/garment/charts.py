@@ -16,31 +16,32 @@ RIDGE = 1e-4  # of a fit of jets, on coefficients of unit-scaled coordinates
 
 @dataclass(frozen=True)
 class ChartBlend:
-    """Patches per vertex: ``patch`` (N, 4) int32, ``weight`` (N, 4) summing to one, unused slots weigh zero."""
+    """The four charts of N vertices: ``patch`` (N, 4) int32, the patch of each chart, and ``weight`` (N, 4), its weight
+    in the vertex. Rows of weights sum to one; a chart of weight 0 is not used."""
 
     patch: np.ndarray
     weight: np.ndarray
 
 
 def rows_of_patches(patch: np.ndarray, count: int) -> list[np.ndarray]:
-    """The rows of each of ``count`` patches in ``patch`` (n,), ascending; rows with a negative number are nobody's."""
+    """Returns for each patch from 0 to ``count`` - 1 the ascending rows of ``patch`` (n,) that hold its number. Rows
+    with a negative number are in no list."""
     order = np.argsort(patch, kind="stable")
     bounds = np.searchsorted(patch[order], np.arange(count + 1))
     return [order[start:end] for start, end in pairwise(bounds)]
 
 
 def ridge_fit(basis: np.ndarray, values: np.ndarray, root: np.ndarray) -> np.ndarray:
-    """Coefficients (m, ...) of ``values`` (n, ...) in the columns of ``basis`` (n, m).
-
-    Least squares with a ridge; each row weighs the square of its ``root`` (n,).
-    """
+    """Returns the coefficients (m, ...) by which the columns of ``basis`` (n, m) fit ``values`` (n, ...) best: weighted
+    least squares with a small ridge. The weight of a row is the square of ``root`` (n,)."""
     a = basis * root[:, None]
     target = values * root.reshape(-1, *[1] * (values.ndim - 1))
     return np.linalg.solve(a.T @ a + RIDGE * np.eye(a.shape[1]), a.T @ target)
 
 
 def cluster_centres(label: np.ndarray, vertices: np.ndarray, area: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Area-weighted centroid [m] (K, 3) of each cluster and the member vertex nearest to it (K,)."""
+    """Returns for each of K clusters its area-weighted centroid [m] (K, 3), and its member nearest to that, as a row
+    (K,) of ``vertices``. ``label`` (N,) is the cluster of each vertex, ``area`` (N,) [m^2] its area."""
     count = int(label.max()) + 1
     mass = np.bincount(label, area, count)
     moment = np.stack([np.bincount(label, area * vertices[:, axis], count) for axis in range(3)], axis=1)
@@ -53,11 +54,12 @@ def cluster_centres(label: np.ndarray, vertices: np.ndarray, area: np.ndarray) -
 
 
 def blend_charts(graph: scipy.sparse.csr_matrix, seeds: np.ndarray, *, spacing_m: float) -> ChartBlend:
-    """The four geodesically nearest patches of each vertex and their blend weights.
+    """Returns the four geodesically nearest patches of each vertex and their weights.
 
-    With d5 the distance to the first patch left out, ``w = max(0, 1 - (d / d5)^2)^2``,
-    normalised: it reaches zero where the fourth and fifth patch trade places, so the blend
-    is continuous over the surface. ``spacing_m`` bounds the search (typical patch spacing).
+    With d the distance to a patch's seed and d5 that to the fifth patch, ``w = max(0, 1 - (d / d5)^2)^2``, normalised.
+    The weight is zero where the fourth and fifth patch trade places, so the blend is continuous over the surface.
+    ``graph`` (N, N): edge lengths [m]. ``seeds`` (K,): the vertex of each patch. ``spacing_m``: the usual distance of
+    seeds, in which the search begins.
     """
     piece = connected_components(graph, directed=False)[1]
     wanted = np.minimum(np.bincount(piece[seeds], minlength=int(piece.max()) + 1)[piece], CHARTS_PER_VERTEX + 1)
@@ -88,12 +90,11 @@ def blend_charts(graph: scipy.sparse.csr_matrix, seeds: np.ndarray, *, spacing_m
 
 
 def patch_frames(label: np.ndarray, normals: np.ndarray, area: np.ndarray, bone_direction: np.ndarray) -> np.ndarray:
-    """Frames (K, 3, 3), columns u axis, v axis, normal.
+    """Returns the frames (K, 3, 3) of patches, in the frame of ``normals``: columns u axis, v axis, normal.
 
-    The normal is the mean normal of the cluster and the u axis the blended bone
-    direction ``bone_direction`` (K, 3) laid into the tangent plane: both vary smoothly
-    over the body and carry no arbitrary sign, which is what lets one network serve
-    partitions it has never seen.
+    The normal is the patch's mean normal, and the u axis its blended bone direction ``bone_direction`` (K, 3) laid into
+    the tangent plane. Both vary smoothly over the body and carry no arbitrary sign, which lets one network serve
+    partitions that it has never seen. Where bone and normal agree, u looks to the front, or up.
     """
     count = len(bone_direction)
     weighted = area[:, None] * normals

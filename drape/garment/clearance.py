@@ -39,7 +39,8 @@ GIVE_UP_DEPTH_M = 0.06  # no cloth was modelled so deep in its avatar: it belong
 
 @dataclass(frozen=True, eq=False)
 class Cleared:
-    """Vertices [m] (N, 3), ``clearance_m`` the smallest distance to the body, ``push_m`` the largest movement."""
+    """A garment's vertices after the push out of the body: ``vertices`` [m] (N, 3); ``clearance_m``, the smallest
+    distance to the body; ``push_m``, the largest movement of a vertex; ``rounds``, the number of pushes."""
 
     vertices: np.ndarray
     clearance_m: float
@@ -118,14 +119,16 @@ def clear_body(
     give_up_m: float = GIVE_UP_DEPTH_M,
     through: bool = False,
 ) -> Cleared:
-    """Returns ``vertices`` (N, 3) moved until each is at least ``CLEARANCE_M`` outside the closed body; refuses
-    (``MeshError``) where the last of ``rounds`` leaves less than ``least_m``, as between thighs that touch, in more
-    than a few places, and where a vertex begins deeper than ``give_up_m`` in the body.
+    """Returns ``vertices`` [m] (N, 3) moved until each is at least ``CLEARANCE_M`` outside the closed body, in the same
+    frame.
 
-    The first push maps distances through a softened maximum, which is monotone, so that a lining stays under its cloth;
-    later pushes lift what is still short. Each push is spread over the cloth, over shorter lengths from round to round,
+    The first push maps distances through a softened maximum, which is monotone, so that a lining stays under its cloth.
+    Later pushes lift what is still short. Each push is spread over the cloth, over shorter lengths from round to round,
     so that it ends without spikes. With ``through`` limbs may stick through the cloth, as toes through a short sock:
     cloth inside them leaves by the side that it looks to.
+
+    Raises ``MeshError`` if a vertex begins deeper than ``give_up_m`` in the body, or if after ``rounds`` pushes more
+    than a few places are nearer than ``least_m``.
     """
     target, moved = CLEARANCE_M + MARGIN_M, vertices.copy()
     skin = _Skin(moved, body_vertices, body_faces)

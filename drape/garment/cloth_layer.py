@@ -54,7 +54,7 @@ def join_sheets(mesh: GarmentMesh) -> GarmentMesh:
     """Returns ``mesh`` as sheets of cloth: copies of a vertex become one, and no edge has more than two faces.
 
     Faces without area, faces drawn twice, and discs that close the end of a tube are left out. If that changes the
-    mesh, the vertices of the sheets follow those of ``mesh``.
+    mesh, the vertices of the sheets follow those of ``mesh``, which stay in their rows.
     """
     sheets = cut_branches(without_flat_faces(without_cracks(without_copies(weld(mesh)))))
     if not (keep := without_caps(sheets.vertices, sheets.faces)).all():
@@ -66,10 +66,12 @@ def join_sheets(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def cloth_layer(sheets: GarmentMesh, skin: np.ndarray, outer: np.ndarray | None = None) -> GarmentMesh:
-    """Returns the cloth of ``sheets`` [m] (``join_sheets``), which lie round a body with the points ``skin`` [m]
-    (S, 3); ``sheets`` themselves, if all of them is cloth.
+    """Returns the one layer of ``sheets`` [m] (``join_sheets``) that is draped; ``sheets`` themselves, if it is all of
+    them.
 
-    ``outer`` (F,) bool: their ``outer_sides``, if these are known.
+    Inner sides of walls, pieces that lie on other cloth, small things and facings are left out, and dense cloth is
+    thinned. ``skin`` [m] (S, 3): points of the body inside. ``outer`` (F,) bool: the ``outer_sides`` of the sheets, if
+    known. Raises ``MeshError`` for cloth that cannot be thinned to ``VERTEX_LIMIT``.
     """
     points, faces, notes, tree = sheets.vertices, sheets.faces, [], KDTree(skin)
     keep = outer_sides(points, faces, tree) if outer is None else outer.copy()
@@ -86,9 +88,8 @@ def cloth_layer(sheets: GarmentMesh, skin: np.ndarray, outer: np.ndarray | None 
 
 
 def hung(mesh: GarmentMesh, places: np.ndarray, cloth: GarmentMesh, joints: np.ndarray, skin: np.ndarray) -> BoundMesh:
-    """Returns ``mesh`` with its vertices at ``places`` [m] (D, 3), hung on its ``cloth``, which lies on a body with
-    ``joints`` [m] (24, 3) and ``skin`` (S, 3).
-    """
+    """Returns ``mesh``, its vertices at ``places`` [m] (D, 3), bound to ``cloth``, the layer that is draped in its
+    place. The body inside has ``joints`` [m] (24, 3) and ``skin`` [m] (S, 3)."""
     distance, row = KDTree(cloth.vertices).query(places)
     row = np.where(distance <= SAME_M, row, -1)
     part, label = _stiff_parts(mesh, places, row)
@@ -148,10 +149,10 @@ def _bearing(points: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndar
 
 
 def bearing_pieces(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns the number (F,) of the piece that each face belongs to, the largest being 0, the pieces' areas (P,)
-    [m^2], and which pieces (P,) bool are cloth by themselves.
+    """Returns the connected piece (F,) of each face, numbered from 0 by falling area; the pieces' areas (P,) [m^2]; and
+    which pieces (P,) bool are cloth by themselves.
 
-    A piece is not, if it lies on other cloth, is sewn to a much larger piece, or is a small thing near one.
+    A piece is not if it lies on other cloth, is sewn to a much larger piece, or is a small thing near one.
     """
     piece, area = pieces_of(points, faces)
     small = area < min(SMALL_M2, SMALL_SHARE * area[0])

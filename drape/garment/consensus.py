@@ -29,13 +29,16 @@ STRAIN_POINTS = 1 + RING_COUNT
 
 @dataclass(frozen=True, eq=False)
 class Consensus:
-    """Constants of K patches over A anchors, float64.
+    """The constant tables of K patches over A anchors by which charts are brought to agree; float64.
 
-    ``anchor`` (A,) rows of the vertices. ``member`` (K, 56) the anchors of each chart, ``slot`` (K, 56) which of an
-    anchor's four charts this one is; left over places hold zeros. ``fit`` (K, 21, 56) takes values at the
-    members to polynomials: 15 coefficients of the height's order, 6 of the in-plane order; ``rest`` (K, 21, 3) is
-    the fit of the rest places in the patch's frame [patch scales]. ``tangent`` (K, 7, 3, 2) derivatives of the rest
-    jet at ``strain_points``, ``orthonormal`` (K, 7, 2, 2) upper triangles that turn them into unit vectors.
+    ``anchor`` (A,): vertices of the garment. ``member`` (K, 56): the anchors that each patch covers, as rows of
+    ``anchor``; ``slot`` (K, 56): which of the anchor's four charts the patch is. Places that are not used hold zeros,
+    in ``fit`` too. ``fit`` (K, 21, 56) takes values at the members to coefficients: 15 of order 4 for the height, then
+    6 of order 2 for the plane. ``rest`` (K, 21, 3): the coefficients of the rest positions in the patch's frame [patch
+    scales].
+
+    ``tangent`` (K, 7, 3, 2): derivatives by (u, v) of the rest jet at ``strain_points``. ``orthonormal`` (K, 7, 2, 2):
+    upper triangular matrices; ``tangent @ orthonormal`` has orthonormal columns.
     """
 
     anchor: np.ndarray
@@ -48,13 +51,15 @@ class Consensus:
 
 
 def strain_points() -> np.ndarray:
-    """Parameters (u, v) (7, 2) at which strain is measured."""
+    """Returns the seven places (u, v) (7, 2) of a patch at which strain is measured: its centre and a ring around
+    it."""
     angle = np.arange(RING_COUNT) * (2.0 * np.pi / RING_COUNT)
     return np.concatenate([np.zeros((1, 2)), RING * np.stack([np.cos(angle), np.sin(angle)], axis=1)])
 
 
 def strain_places(patch_jet: np.ndarray, patch_scale: np.ndarray) -> np.ndarray:
-    """The strain points [m] (K, 7, 3) of patches with rest jets ``patch_jet`` (K, 27), in the patch frames."""
+    """Returns the positions [m] (K, 7, 3) of the ``strain_points`` of patches at rest, in the frames of the patches.
+    ``patch_jet`` (K, 27) are the jets at rest, ``patch_scale`` (K,) [m per unit of u, v]."""
     points = np.broadcast_to(strain_points(), (len(patch_scale), STRAIN_POINTS, 2))
     scale = patch_scale.astype(np.float64)[:, None, None]
     return scale * jets.evaluate_jet(patch_jet.astype(np.float64)[:, None], points)
@@ -68,7 +73,8 @@ def consensus(
     patch_jet: np.ndarray,
     patch_scale: np.ndarray,
 ) -> Consensus:
-    """Tables of a garment from its charts (V, 4, ...) and patches (K, ...), as ``Garment`` holds them."""
+    """Returns the tables of a garment of K patches and V vertices. The arguments are the arrays of its ``Atlas`` of the
+    same names; ``chart_local`` (V, 4, 3) [m] is what the method returns."""
     count = len(patch_scale)
     anchor = _anchors(chart_patch, chart_uv, chart_weight, count)
     patch, weight = chart_patch[anchor], chart_weight[anchor].astype(np.float64)

@@ -44,9 +44,11 @@ OTHER_PART = 100.0  # cost [m^2] of matching contours of different parts: never,
 
 
 class Loop(NamedTuple):
-    """A border: vertices ``loop`` (n,) in order, its ``length``, and how much it lies in the cloth, from 0 to 1.
+    """A border of a mesh: ``loop`` (n,), its vertices in order; ``length``, in the mesh's unit; ``flatness`` in [0, 1];
+    and ``axis`` (3,), the unit normal of the plane that it spans.
 
-    ``axis`` (3,) is the normal of the plane that it spans.
+    ``flatness`` is the mean of |vertex normal . axis| along the border: 1 for a hole in flat cloth, 0 at the end of a
+    tube.
     """
 
     loop: np.ndarray
@@ -56,7 +58,7 @@ class Loop(NamedTuple):
 
 
 def borders(mesh: GarmentMesh) -> list[Loop]:
-    """The borders of ``mesh``, whose faces agree in orientation, longest first."""
+    """Returns the borders of ``mesh``, the longest first. Its faces must be wound consistently."""
     normals = meshes.vertex_normals(mesh.vertices, mesh.faces)
     averaging = mesh_graphs.umbrella_laplacian(mesh.faces, len(mesh.vertices))
     for _ in range(SMOOTHINGS):  # noise tilts single normals
@@ -71,25 +73,27 @@ def borders(mesh: GarmentMesh) -> list[Loop]:
         axis = axis / max(float(np.linalg.norm(axis)), 1e-300)
         flatness = float((length * np.abs(normals[loop] @ axis)).sum() / max(float(length.sum()), 1e-300))
         loops.append(Loop(loop, float(length.sum()), flatness, axis))
-    return sorted(loops, key=lambda one: -one.length)
+    return sorted(loops, key=lambda border: -border.length)
 
 
-def plainly_hole(one: Loop, mesh: GarmentMesh) -> bool:
-    """Returns whether a border is a hole, as far as the cloth alone tells: it is very short, or lies in the middle of
-    the cloth."""
+def plainly_hole(border: Loop, mesh: GarmentMesh) -> bool:
+    """Returns whether ``border`` of ``mesh`` is a hole that nothing is worn through, as far as the cloth alone shows:
+    it is very short, or lies in the middle of flat cloth."""
     root = float(np.sqrt(meshes.face_areas(mesh.vertices, mesh.faces).sum()))
-    lies = one.flatness > LIES_IN_CLOTH and one.length < LONG_SHARE * root
-    return one.length < SHORT_SHARE * root or lies
+    lies = border.flatness > LIES_IN_CLOTH and border.length < LONG_SHARE * root
+    return border.length < SHORT_SHARE * root or lies
 
 
-def plainly_opening(one: Loop) -> bool:
-    """Returns whether a border is an opening, as far as the cloth alone tells: the cloth at it looks sideways."""
-    return one.flatness < LOOKS_SIDEWAYS
+def plainly_opening(border: Loop) -> bool:
+    """Returns whether ``border`` is an opening to wear, as far as the cloth alone shows: the cloth at it looks
+    sideways, as at a cuff."""
+    return border.flatness < LOOKS_SIDEWAYS
 
 
 @dataclass(frozen=True, eq=False)
 class Contour:
-    """A closed border: ``loop`` (n,) vertices in order, ``length_m`` and ``centre`` [m] (3,), the mean along it."""
+    """A closed border: ``loop`` (n,), its vertices in order; ``points`` [m] (n, 3), their positions; ``length_m``; and
+    ``centre`` [m] (3,), the mean position along it."""
 
     loop: np.ndarray
     points: np.ndarray
@@ -98,10 +102,11 @@ class Contour:
 
 
 class ContourPlace(NamedTuple):
-    """The place of a contour: the body's ``part``, ``along_m`` [m] from its root, unit ``direction`` (3,) outward.
+    """Where a contour lies along the body: the ``part`` of the body ("trunk", "left_arm", ...), ``along_m`` [m], the
+    length along the part's bones, and the unit ``direction`` (3,) of the bones there.
 
-    The trunk begins at the pelvis, up is positive; a limb begins at its first joint. ``part`` is None if no bone passes
-    through.
+    On the trunk ``along_m`` counts upwards from the pelvis, on a limb outwards from its first joint. ``part`` is None
+    if no bone passes through the contour; ``along_m`` and ``direction`` are zero then.
     """
 
     part: str | None
@@ -110,10 +115,9 @@ class ContourPlace(NamedTuple):
 
 
 class Match(NamedTuple):
-    """A contour of the source and its counterpart, by number; the target's length over the source's.
-
-    The counterpart lies ``move_m`` [m] further along the direction of the source's ``place``.
-    """
+    """A contour of the source and its counterpart in the target: ``source`` and ``target`` are their numbers in the two
+    lists, ``place`` is that of the source. ``length_ratio`` is the target's length over the source's; the counterpart
+    lies ``move_m`` [m] farther along the part's bones."""
 
     source: int
     target: int
@@ -123,7 +127,8 @@ class Match(NamedTuple):
 
 
 def open_contours(vertices: np.ndarray, faces: np.ndarray) -> list[Contour]:
-    """The closed borders of a mesh (``vertices`` [m] (V, 3), ``faces`` (F, 3)), longest first."""
+    """Returns the closed borders of the mesh with ``vertices`` [m] (V, 3) and ``faces`` (F, 3), the longest first.
+    Raises ``MeshError`` for arrays that are no finite mesh."""
     vertices = np.asarray(vertices, dtype=np.float64)
     check_shape("vertices", vertices, (None, 3), error=MeshError)
     check_finite("vertices", vertices, error=MeshError)
@@ -139,9 +144,11 @@ def open_contours(vertices: np.ndarray, faces: np.ndarray) -> list[Contour]:
 
 
 def bone_chains(joints: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
-    """By part of the body the points [m] (n, 3) of its bones, and the length [m] before its root.
+    """Returns for each part of the body ("trunk" and four limbs) the polyline [m] (n, 3) along its bones, and the
+    length [m] of the polyline up to the part's origin: to the pelvis for the trunk, 0 for limbs.
 
-    ``joints`` [m] (24, 3) in the pose of the garment.
+    ``joints`` [m] (24, 3), in any pose. Chains go on for ``BEYOND_M`` after their last joints; the trunk begins below,
+    between the ankles.
     """
     check_shape("joints", joints, (JOINT_COUNT, 3))
     check_finite("joints", joints)
@@ -160,12 +167,14 @@ def _longer(chain: np.ndarray) -> np.ndarray:
 
 
 def encircles(contour: Contour, chain: np.ndarray) -> bool:
-    """Whether the line ``chain`` [m] (n, 3) passes through ``contour``, counted on the fan about its centre."""
+    """Returns whether the polyline ``chain`` [m] (n, 3) passes through ``contour``: it crosses the fan of triangles
+    around the contour's centre more often in one direction than in the other."""
     return sum(_crossings(chain, contour.centre, contour.points, np.roll(contour.points, -1, axis=0))) != 0
 
 
 def pierces(chain: np.ndarray, nodes: np.ndarray, faces: np.ndarray) -> bool:
-    """Whether the line ``chain`` [m] (n, 3) goes through the cloth of ``nodes`` [m] (N, 3) and ``faces`` (F, 3)."""
+    """Returns whether the polyline ``chain`` [m] (n, 3) crosses a triangle of the cloth with vertices ``nodes`` [m] (N,
+    3) and ``faces`` (F, 3)."""
     # Most triangles lie away from the line.
     above, below = (nodes >= chain.min(axis=0)).T, (nodes <= chain.max(axis=0)).T
     near = np.ones(len(faces), dtype=bool)
@@ -177,12 +186,12 @@ def pierces(chain: np.ndarray, nodes: np.ndarray, faces: np.ndarray) -> bool:
 def _crossings(chain: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> list[int]:
     """1 or -1, by the side that it comes from, where ``chain`` (n, 3) goes through a triangle ``a``, ``b``, ``c``."""
     signs = [crossed(start, end, a, b, c) for start, end in pairwise(chain)]
-    return [int(sign) for found in signs for sign in found[found != 0]]
+    return [int(sign) for crossings in signs for sign in crossings[crossings != 0]]
 
 
 def crossed(start: np.ndarray, end: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """1 or -1 (F,), by the side that it comes from, where the line from ``start`` to ``end`` (3,) goes through the
-    triangles ``a``, ``b``, ``c`` (F, 3), 0 elsewhere."""
+    """Returns for each triangle ``a``, ``b``, ``c`` (F, 3) whether the segment from ``start`` to ``end`` (3,) crosses
+    it: 1 along its normal, -1 against it, 0 where it does not, floats (F,). A crossing at ``end`` does not count."""
     way, normal = end - start, np.cross(b - a, c - a)
     rise = normal @ way
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -195,15 +204,17 @@ def crossed(start: np.ndarray, end: np.ndarray, a: np.ndarray, b: np.ndarray, c:
 
 
 def part_round(contour: Contour, chains: dict[str, tuple[np.ndarray, float]]) -> str | None:
-    """The part of the body whose bones pass through ``contour``, the trunk before a limb."""
+    """Returns the name of the body's part whose bones pass through ``contour``, the trunk before a limb, or None.
+    ``chains``: what ``bone_chains`` returns."""
     return next((name for name, (chain, _) in chains.items() if encircles(contour, chain)), None)
 
 
 def place_of(contour: Contour, chains: dict[str, tuple[np.ndarray, float]]) -> ContourPlace:
-    """The place of ``contour`` along the body, on the part that it goes round.
+    """Returns the place of ``contour`` along the part of the body that it goes around. ``chains``: what ``bone_chains``
+    returns.
 
-    Where no bone passes through, as through a cuff that lies folded, the nearest one counts if it is nearer to the
-    centre than a round contour of that length would be.
+    Where no bone passes through, as through a cuff that lies folded, the part with the nearest bone counts if the bone
+    is nearer to the centre than a round contour of that length would be.
     """
     nearest = {part: _nearest(contour.centre, chain) for part, (chain, _) in chains.items()}
     part = part_round(contour, chains)
@@ -228,10 +239,12 @@ def _nearest(point: np.ndarray, chain: np.ndarray) -> tuple[float, float, np.nda
 
 
 def match_contours(source: list[Contour], target: list[Contour], joints: np.ndarray) -> tuple[list[Match], list[int]]:
-    """Every contour of ``source`` with its counterpart, and the numbers of the target's holes, which have none.
+    """Returns a match for each contour of ``source``, and the numbers of the contours of ``target`` that have no
+    counterpart: holes. ``joints`` [m] (24, 3) of the body that both lie on.
 
-    Counterparts lie on the same part of the body; on each part the squared differences of their places are least
-    in sum, which keeps their order. Raises ``InputError`` where the target has no counterpart.
+    Counterparts lie on the same part of the body. On each part the sum of the squared differences of ``along_m`` is
+    least, which keeps their order. Raises ``InputError`` where no bone passes through a contour of ``source``, or where
+    ``target`` has fewer contours on a part.
     """
     chains = bone_chains(joints)
     own = [place_of(contour, chains) for contour in source]
@@ -267,8 +280,8 @@ def match_contours(source: list[Contour], target: list[Contour], joints: np.ndar
 
 
 def lost_parts(nodes: np.ndarray, faces: np.ndarray, joints: np.ndarray, parts: Sequence[str]) -> tuple[str, ...]:
-    """Returns the ``parts`` of the body that do not go through an opening of a garment at ``nodes`` [m] (N, 3), one
-    opening for each.
+    """Returns those of ``parts``, names as in ``bone_chains``, that do not go through an opening of their own in the
+    garment with vertices ``nodes`` [m] (N, 3) and ``faces`` (F, 3), sorted; empty if none is lost.
 
     A limb whose bones go through the cloth is lost too: its sleeve slipped off and only the cuff is still round the
     arm. ``joints`` [m] (24, 3) are those of the body in its pose.
@@ -280,13 +293,15 @@ def lost_parts(nodes: np.ndarray, faces: np.ndarray, joints: np.ndarray, parts: 
 
 
 def pierced_parts(nodes: np.ndarray, faces: np.ndarray, joints: np.ndarray) -> tuple[str, ...]:
-    """The parts of the body whose bones go through the cloth of ``nodes`` [m] (N, 3): a limb's, or pelvis to head."""
+    """Returns the names of the body's parts whose bones go through the cloth with vertices ``nodes`` [m] (N, 3) and
+    ``faces`` (F, 3); empty if there are none. Of the trunk only the bones from pelvis to head count. ``joints`` [m]
+    (24, 3)."""
     bones = {part: chain[:-1] for part, (chain, _) in bone_chains(joints).items()}  # beyond the last joint is none
     bones[TRUNK] = bones[TRUNK][-len(SPINE) :]
     return tuple(part for part, chain in bones.items() if pierces(chain, nodes, faces))
 
 
 def lost_words(lost: Sequence[str]) -> str:
-    """A phrase such as "the right arm is not in its opening"."""
+    """Returns a clause about the ``lost`` parts, such as "the right arm is not in the garment's opening"."""
     parts = " and ".join(f"the {part.replace('_', ' ')}" for part in lost)
     return f"{parts} {'is' if len(lost) == 1 else 'are'} not in the garment's opening"

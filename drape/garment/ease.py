@@ -22,24 +22,25 @@ _MIDDLE = {"chest_m": "spine3", "waist_m": "spine1", "hip_m": "pelvis"}
 
 
 class Ease(NamedTuple):
-    """Girths [m] at one level: of the body, and of the garment without stress."""
+    """Girths [m] around one level of the body: ``body_m`` of the body, ``garment_m`` of the garment without stress."""
 
     body_m: float
     garment_m: float
 
     @property
     def ease_m(self) -> float:
-        """The garment's girth minus the body's [m]."""
+        """Returns the garment's girth minus the body's [m]; below zero the cloth has to stretch."""
         return self.garment_m - self.body_m
 
 
 def eases(
     faces: np.ndarray, rest: RestState, vertices: np.ndarray, body: BodyModel, betas: np.ndarray | None = None
 ) -> dict[str, Ease]:
-    """Returns the ease of a garment at each of the ``SectionHeights`` that it goes around, by the level's name.
+    """Returns the ease of a garment at the levels "chest_m", "waist_m" and "hip_m" of the body, without those that the
+    garment does not go around.
 
-    Its ``faces`` (F, 3), of the cloth ``rest``, are draped at ``vertices`` [m] (V, 3) on ``body`` in the rest pose and
-    the shape ``betas``.
+    The cloth with ``faces`` (F, 3) and the rest state ``rest`` is draped at ``vertices`` [m] (V, 3) on ``body`` with
+    shape ``betas`` in the rest pose.
     """
     place, skin, joints = landmarks(body), body.rest_vertices(betas), body.rest_joints(betas)
     by_name = {}
@@ -54,9 +55,10 @@ def eases(
 def girth_around(
     faces: np.ndarray, rest: RestState, vertices: np.ndarray, *, y: float, middle: np.ndarray
 ) -> float | None:
-    """The length [m] at ``rest`` of the longest closed ring at the height ``y`` [m] around ``middle`` (x, z) [m].
+    """Returns the length [m], without stress as in ``rest``, of the longest closed ring of cloth at the height ``y``
+    [m] around the point ``middle`` (x, z) [m].
 
-    None where there is none: the garment ends above or below, or is open there.
+    None where there is no closed ring: the garment ends above or below, or is open there.
     """
     section = level_section(faces, vertices, y)
     around = [ring for ring in closed_rings(section, vertices) if _encloses(ring, middle)]
@@ -67,7 +69,7 @@ def girth_around(
 
 
 def rest_lengths(section: Section, faces: np.ndarray, rest: RestState) -> np.ndarray:
-    """Lengths [m] (N,) of the segments of ``section`` on the flat triangles of ``rest``."""
+    """Returns the lengths [m] (N,) that the segments of ``section`` have on the unstressed triangles of ``rest``."""
     cut = faces[section.face]
     corners = np.concatenate([np.zeros((len(cut), 1, 2)), rest.edges[section.face]], axis=1)  # (N, 3, 2)
     rows, ends = np.arange(len(cut)), []

@@ -18,7 +18,8 @@ SHEAR_OF_ISOTROPIC = 4.0 / 3.0  # shear over stretch where Poisson's ratio is a 
 
 
 def warp_directions(rest: RestState, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit warp (F, 3) of every triangle where the mesh lies at ``vertices`` [m] (V, 3): first column of F = E D^-1."""
+    """Returns the unit warp direction (F, 3) of every triangle of the mesh at ``vertices`` [m] (V, 3), in their frame:
+    the first column of F = E D^-1, with the edges E there and D in ``rest``."""
     first, second = meshes.corner_edges(np.asarray(vertices, dtype=np.float64), faces)
     (a, b), (c, d) = np.moveaxis(rest.edges[:, 0], 1, 0), np.moveaxis(rest.edges[:, 1], 1, 0)
     along = (d[:, None] * first - b[:, None] * second) / (a * d - b * c)[:, None]
@@ -26,10 +27,12 @@ def warp_directions(rest: RestState, vertices: np.ndarray, faces: np.ndarray) ->
 
 
 def patch_grain(atlas: Atlas, vertices: np.ndarray, faces: np.ndarray, warp: np.ndarray) -> np.ndarray:
-    """(cos 2a, sin 2a) (K, 2) float32, a the angle from a patch's u axis to the warp (F, 3) of its triangles.
+    """Returns (cos 2a, sin 2a) (K, 2) float32 for each patch of ``atlas``, where a is the angle from its u axis to the
+    warp of its triangles.
 
-    The mean over the triangles of a patch, by area: shorter where the grain turns within it. A warp and its opposite
-    are the same.
+    It is the mean over the triangles by area, and is shorter than 1 where the grain turns within the patch. A warp and
+    its opposite count as the same. ``vertices`` [m] (V, 3), ``faces`` (F, 3), and ``warp`` (F, 3), a unit vector per
+    triangle.
     """
     area = meshes.face_areas(np.asarray(vertices, dtype=np.float64), faces)
     turned = np.zeros((len(vertices), 3, 3))
@@ -44,7 +47,8 @@ def patch_grain(atlas: Atlas, vertices: np.ndarray, faces: np.ndarray, warp: np.
 
 
 def rest_grain(garment: Garment) -> np.ndarray:
-    """Returns ``patch_grain`` (K, 2) of a garment at rest."""
+    """Returns (cos 2a, sin 2a) (K, 2) float32 for each patch of ``garment`` at rest, where a is the angle from the
+    patch's u axis to the warp (``patch_grain``)."""
     vertices, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
     if garment.rest_edges is not None:
         warp = warp_directions(garment.rest_state(), vertices, faces)
@@ -54,10 +58,11 @@ def rest_grain(garment: Garment) -> np.ndarray:
 
 
 def encoder_features(garment: Garment, width: int, fabric: Fabric | None = None) -> np.ndarray:
-    """The input (K, width) of a garment encoder for ``garment`` made of ``fabric``, or of its own fabric.
+    """Returns the input (K, ``width``) float32 of the garment encoder for the K patches of ``garment``: the patch
+    features and, if ``width`` has room for them, 12 features of the fabric.
 
-    A network that was trained before there were fabrics reads the patch features alone. Raises ``ArtifactError`` for
-    any other width.
+    ``fabric`` is the garment's own by default. Networks from before there were fabrics read the patch features alone.
+    Raises ``ArtifactError`` for any other width.
     """
     features = np.ascontiguousarray(garment.patch_features, dtype=np.float32)
     if features.shape[1] == width:
@@ -74,10 +79,11 @@ def encoder_features(garment: Garment, width: int, fabric: Fabric | None = None)
 
 
 def fabric_features(fabric: Fabric, grain: np.ndarray) -> np.ndarray:
-    """Features (K, 12) float32 of ``fabric`` on patches with ``grain`` (K, 2) of ``patch_grain``.
+    """Returns features (K, 12) float32 of ``fabric`` on K patches with ``grain`` (K, 2), as ``patch_grain`` returns it.
 
-    Logarithms, so that each doubling counts alike; differences of warp and weft turn with twice the grain's angle and
-    those of the bias with four times, so that for a cloth that is alike all ways the grain says nothing.
+    They are logarithms, so that each doubling counts alike. Differences of warp and weft turn with twice the grain's
+    angle, those of the bias with four times, so that the grain says nothing about cloth that is alike in all
+    directions.
     """
     two = np.asarray(grain, dtype=np.float64)
     four = np.stack([two[:, 0] ** 2 - two[:, 1] ** 2, 2.0 * two[:, 0] * two[:, 1]], axis=1)

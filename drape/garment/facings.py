@@ -22,8 +22,8 @@ BORDER_SHARE = 0.3  # of its rim
 
 
 def without_facings(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarray:
-    """Returns which ``faces`` (F,) bool of the cloth with the vertices ``points`` [m] (N, 3) are no facing. ``skin``
-    holds points of the body inside."""
+    """Returns bool (F,), False for those of ``faces`` (F, 3) that belong to a facing: cloth that is turned in under
+    cloth of the same piece. ``points`` [m] (N, 3) are the vertices; ``skin`` holds points [m] of the body inside."""
     keep, every = np.ones(len(faces), dtype=bool), np.arange(len(faces))
     wound, _ = agreeing(plain_mesh("cloth", points, faces))
     middles, normals = points[faces].mean(axis=1), meshes.face_normals(wound.vertices, wound.faces)

@@ -16,16 +16,17 @@ SUFFIX = "-fine"  # of the digest
 
 
 def has_finer(garment: Garment) -> bool:
-    """Whether intake subdivided the delivered triangles, which it does where they are long or few."""
+    """Returns whether intake subdivided the delivered triangles of ``garment``, which it does where they are long or
+    few."""
     return len(garment.vertices) > garment.vertex_count
 
 
 def fine_garment(garment: Garment) -> Garment:
-    """Returns ``garment`` with all its vertices and ``fine_faces`` as the delivered ones, under a digest of its own.
+    """Returns ``garment`` with its subdivided mesh as the delivered one, under a digest of its own.
 
     Its first vertices are the delivered ones, in their order. Texture coordinates are linear in every delivered
-    triangle, whose parts have its material. A garment that was not subdivided is returned as it is, without what hangs
-    on it. Raises ``ArtifactError`` where ``fine_faces`` are no subdivision of ``faces``.
+    triangle, whose parts have its material; ``drawn`` is None. A garment that was not subdivided is returned as it is,
+    but for ``drawn``. Raises ``ArtifactError`` where ``fine_faces`` are no subdivision of ``faces``.
     """
     if not has_finer(garment):
         return garment if garment.drawn is None else replace(garment, drawn=None)
@@ -47,8 +48,9 @@ def fine_garment(garment: Garment) -> Garment:
 
 
 def corner_weights(garment: Garment) -> sp.csr_matrix:
-    """Matrix (N, V) that places the vertices of ``fine_faces`` in the delivered triangles, at most three weights a row,
-    which sum to one. Raises ``ArtifactError`` where ``fine_faces`` are no subdivision of ``faces``."""
+    """Returns the sparse matrix (N, V) that interpolates the N vertices of the subdivided mesh in the delivered
+    triangles: rows of at most three weights, which sum to one. Raises ``ArtifactError`` where ``fine_faces`` are no
+    subdivision of ``faces``."""
     weights = sp.csr_matrix(sp.identity(garment.vertex_count))
     for parents in _rounds(garment):
         weights = sp.csr_matrix(0.5 * (weights[parents[:, 0]] + weights[parents[:, 1]]))

@@ -48,9 +48,10 @@ _ROUND = {"chest_m": "chest", "waist_m": "waist", "hip_m": "hips"}
 
 
 class Region(NamedTuple):
-    """The cloth of one region: its area at rest [m^2], mean strains along warp and weft, the ``high`` strain that a
-    twentieth of it exceeds along either, the share that lies on the skin, the mean pressure there [N/m^2], and the mean
-    distance from the skin [m]."""
+    """The figures of one region's cloth: ``area_m2``, its area at rest; ``warp`` and ``weft``, mean strains along them;
+    ``high``, the strain along either that a twentieth of the cloth exceeds; ``touching``, the share in [0, 1] that lies
+    on the skin; ``pressure_n_per_m2``, the mean pressure there; ``gap_m``, the mean distance from the skin. Means are
+    by area, strains relative to the length at rest."""
 
     area_m2: float
     warp: float
@@ -62,7 +63,8 @@ class Region(NamedTuple):
 
 
 class FitReport(NamedTuple):
-    """How a garment fits: in ``words``, ``ease`` by level, ``regions`` by name, ``tension`` of each vertex."""
+    """How a garment fits a body: sentences in ``words``, ``ease`` by level of the body, figures by the name of the
+    region in ``regions``, and ``tension`` at each vertex."""
 
     words: list[str]
     ease: dict[str, Ease]
@@ -71,9 +73,10 @@ class FitReport(NamedTuple):
 
 
 class JudgedDrape(NamedTuple):
-    """A drape that is judged: vertices [m] (V, 3) in the rest pose, and in the pose (24, 3) [rad] that is asked about.
+    """A drape whose fit is reported, on a body of the shape ``betas``: its vertices ``vertices`` [m] (N, 3) in the rest
+    pose, and ``posed`` [m] (N, 3) in the pose ``pose`` (24, 3) [rad]. The vertices are all those of ``fine_faces``.
 
-    ``vertices`` are all those of ``fine_faces``; ``pose`` and ``posed`` are None where that is the rest pose too.
+    ``pose`` and ``posed`` are None if the report is about the rest pose.
     """
 
     betas: np.ndarray
@@ -83,10 +86,8 @@ class JudgedDrape(NamedTuple):
 
 
 def fit_report(garment: Garment, body: BodyModel, worn: JudgedDrape, *, fabric: Fabric | None = None) -> FitReport:
-    """How ``garment`` fits ``body``: ease in the rest pose, strain and pressure in the pose of ``worn``.
-
-    ``fabric`` is the garment's own if left out.
-    """
+    """Returns how ``garment``, draped as ``worn``, fits ``body``: ease in the rest pose; strain, pressure and distances
+    in the pose of ``worn``. ``fabric`` is the garment's own by default."""
     faces, rest = garment.fine_faces.astype(np.int64), garment.rest_state()
     cloth = ClothMesh.of(rest, faces, len(garment.vertices))
     ease = eases(faces, rest, worn.vertices, body, worn.betas)
@@ -98,26 +99,30 @@ def fit_report(garment: Garment, body: BodyModel, worn: JudgedDrape, *, fabric: 
     made_of = fabric_of(garment.fabric) if fabric is None else fabric
     tension = cloth_tension(cloth_at, cloth, Material.of(made_of).membrane, touching)
     named = regions_of(garment, body)
-    found = region_figures(named, cloth.vertex_area, tension, touching=touching, gap_m=gap_m)
-    return FitReport(fit_words(found, ease), ease, found, tension)
+    regions = region_figures(named, cloth.vertex_area, tension, touching=touching, gap_m=gap_m)
+    return FitReport(fit_words(regions, ease), ease, regions, tension)
 
 
 def regions_of(garment: Garment, body: BodyModel) -> np.ndarray:
-    """The number in ``REGIONS`` (N,) of each vertex of ``garment``, by the bone that leads it."""
+    """Returns for each vertex of ``garment`` the number (N,) int of its region in ``REGIONS``: the region of the bone
+    with the largest weight."""
     of_joint = np.zeros(JOINT_COUNT, dtype=np.int64)
     names = list(REGIONS)
     for number, joints in enumerate(REGIONS.values()):
         of_joint[[JOINT_NAMES.index(joint) for joint in joints]] = number
-    found = of_joint[garment.skin_weights(body).argmax(axis=1)]
+    region = of_joint[garment.skin_weights(body).argmax(axis=1)]
     crotch_y = body.v_template[landmarks(body).crotch, 1]
-    high = (found == names.index("thighs")) & (garment.vertices[:, 1] > crotch_y)
-    return np.where(high, names.index("hips"), found)
+    high = (region == names.index("thighs")) & (garment.vertices[:, 1] > crotch_y)
+    return np.where(high, names.index("hips"), region)
 
 
 def region_figures(
     named: np.ndarray, area: np.ndarray, tension: Tension, *, touching: np.ndarray, gap_m: np.ndarray
 ) -> dict[str, Region]:
-    """The figures of each region of ``named`` (V,) that has cloth, means by the vertices' ``area`` [m^2] (V,)."""
+    """Returns the figures of each region with at least ``LEAST_AREA_M2`` of cloth, by its name.
+
+    Per vertex (N,): ``named``, the number of its region; ``area`` [m^2]; ``touching`` bool; ``gap_m``; and ``tension``.
+    """
     regions = {}
     for number, name in enumerate(REGIONS):
         rows = named == number
@@ -147,7 +152,8 @@ def _quantile(values: np.ndarray, share: np.ndarray) -> float:
 
 
 def fit_words(regions: Mapping[str, Region], ease: Mapping[str, Ease]) -> list[str]:
-    """Sentences that say where a garment is tight, too small or loose; one that says that it fits where it is not."""
+    """Returns sentences that say where a garment is tight, too small or loose; if it is so nowhere, one sentence that
+    it fits."""
     sentences = [sentence for name, region in regions.items() for sentence in _tight(name, region)]
     for level, girths in ease.items():
         name, width_cm = _ROUND[level], 100.0 * girths.ease_m

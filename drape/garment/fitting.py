@@ -27,14 +27,15 @@ DEFAULT_SEED = 0
 
 @dataclass(frozen=True, eq=False)
 class RestSurface:
-    """A garment mesh at rest: ``vertices`` (N, 3) [m], ``faces`` (G, 3) of the subdivided mesh."""
+    """A mesh at rest: ``vertices`` [m] (N, 3) in the body's frame, and ``faces`` (G, 3), those of a garment's
+    subdivided mesh."""
 
     vertices: np.ndarray
     faces: np.ndarray
 
     @cached_property
     def normals(self) -> np.ndarray:
-        """Area-weighted unit vertex normals (N, 3)."""
+        """Returns the unit normals (N, 3) of the vertices, weighted by area."""
         total = np.zeros_like(self.vertices)
         for k in range(3):
             np.add.at(total, self.faces[:, k], self._face_cross)
@@ -47,7 +48,7 @@ class RestSurface:
 
     @cached_property
     def areas(self) -> np.ndarray:
-        """A third of the area [m^2] of the triangles round each vertex (N,); never zero."""
+        """Returns for each vertex a third of the area [m^2] (N,) of the triangles around it, at least 1e-12."""
         face_area = 0.5 * np.linalg.norm(self._face_cross, axis=1)
         total = np.zeros(len(self.vertices))
         for k in range(3):
@@ -56,14 +57,15 @@ class RestSurface:
 
     @cached_property
     def graph(self) -> scipy.sparse.csr_matrix:
-        """A sparse symmetric matrix (N, N) of the lengths [m] of edges and of the diagonals across them."""
+        """Returns the sparse symmetric matrix (N, N) of the lengths [m] of edges, and of the diagonals across each
+        edge."""
         return vertex_graph(self.vertices, self.faces)
 
 
 @dataclass(frozen=True, eq=False)
 class RestGarment(RestSurface):
-    """A garment mesh at rest on the ``body`` with what does not depend on its partition: ``binding`` its skin weights
-    and shape movement."""
+    """A garment's mesh at rest on ``body`` with what does not depend on its partition: ``binding`` has its bone weights
+    and its movement with the body's shape."""
 
     binding: skin.BodyBinding
     body: BodyModel
@@ -72,7 +74,8 @@ class RestGarment(RestSurface):
 def rest_garment(
     vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, arm: np.ndarray | None = None
 ) -> RestGarment:
-    """The rest garment of ``vertices`` (N, 3) [m] on ``body`` in T-pose."""
+    """Returns the mesh of ``vertices`` [m] (N, 3) and ``faces`` (G, 3), at rest on ``body`` in T-pose, bound to the
+    body. ``arm`` (N,) as in ``bind_to_body``."""
     vertices = np.asarray(vertices, dtype=np.float64)
     return RestGarment(vertices, faces, skin.bind_to_body(vertices, faces, body, arm=arm), body)
 
@@ -87,12 +90,14 @@ def patch_fields(
     like: Atlas | None = None,
     label: np.ndarray | None = None,
 ) -> dict[str, np.ndarray]:
-    """The patch and chart fields of ``Garment`` for one partition of ``rest`` into ``count`` patches, by default
-    ``share`` times those of ``patch_count_for``, whose ``label`` is ``patch_labels`` where that is known, or into those
-    of the same cloth on another body, ``like``.
+    """Returns the fields of an ``Atlas`` by their names, for one partition of ``rest``; float32, indices int32.
 
-    ``unfold`` lays charts flat that fold over (``drape.garment.unfold``). What the
-    network reads of a patch is that of the projection either way: training draws partitions without unfolding.
+    The partition is that of ``like``, the same cloth on another body; else ``label`` (N,), the patch of each vertex;
+    else a new one, drawn by ``seed``, into ``count`` patches, by default ``share`` times ``patch_count_for`` of the
+    area.
+
+    ``unfold`` lays charts flat that fold over (``drape.garment.unfold``). ``patch_features`` are those of the
+    projection either way, because training draws partitions without unfolding.
     """
     area = float(rest.areas.sum())
     alike = None if like is None else _label_of(like)
@@ -138,7 +143,8 @@ def patch_fields(
 def patch_labels(
     rest: RestSurface, count: int | None = None, share: float = 1.0, seed: int = DEFAULT_SEED
 ) -> np.ndarray:
-    """The patch (N,) of each vertex of ``rest``, with ``count``, ``share`` and ``seed`` as in ``patch_fields``."""
+    """Returns the patch (N,) int of each vertex of ``rest`` in a new partition, drawn by ``seed``, into ``count``
+    patches; by default ``share`` times ``patch_count_for`` of the area."""
     count = min(patch_count_for(float(rest.areas.sum()), share) if count is None else count, len(rest.vertices))
     return partition(rest.vertices, rest.faces, rest.areas, count, seed=seed, graph=rest.graph)
 
@@ -159,9 +165,11 @@ def _cluster_mean(label: np.ndarray, area: np.ndarray, values: np.ndarray, count
 
 
 def fit_jets(uv: np.ndarray, height: np.ndarray, blend: charts.ChartBlend, count: int) -> np.ndarray:
-    """Rest jets (K, 27): in-plane the identity, height a ridge least-squares 4-jet (Cazals and Pouget 2003).
+    """Returns the rest jets (K, 27) of ``count`` patches [patch scales]: in the plane the identity, in height a ridge
+    least-squares 4-jet (Cazals and Pouget 2003).
 
-    ``uv`` (N, 4, 2) and ``height`` (N, 4) in units of the patch scale; samples weigh as in the blend.
+    ``uv`` (N, 4, 2) and ``height`` (N, 4) are the places of vertices in their charts [patch scales]; they weigh as in
+    ``blend``.
     """
     basis = jets.basis(uv, jets.HEIGHT_ORDER).reshape(-1, jets.HEIGHT_COUNT)
     height, root = height.reshape(-1), np.sqrt(blend.weight).reshape(-1)
@@ -175,11 +183,12 @@ def fit_jets(uv: np.ndarray, height: np.ndarray, blend: charts.ChartBlend, count
 
 
 def fit_error(rest: RestGarment, fields: dict[str, np.ndarray]) -> dict[str, float]:
-    """Point RMSE [m] and mean normal error [deg] of the blended jets without residual (OneFit, table 7).
+    """Returns figures of how well the blended jets of ``fields`` (``patch_fields``), without residual, follow the mesh
+    ``rest``: ``point_rmse_m`` and ``point_max_m`` [m], ``normal_error_deg`` [deg], the mean (OneFit, table 7).
 
-    Fold-over, zero after intake: ``folded_chart_triangles`` lie upside down in (u, v), ``folded_charts`` are no
-    bijections. ``folded_chart_entries`` count where a jet leans past its plane, which no height over a plane does
-    but a chart that was laid flat may: cloth that bends that far.
+    Counts of fold-over, zero after intake: ``folded_chart_triangles`` lie upside down in (u, v), ``folded_charts`` are
+    no bijections. ``folded_chart_entries`` counts places where a jet leans past its plane. No height over a plane does
+    so; a chart that was laid flat may, if cloth bends that far.
     """
     patch = fields["chart_patch"]
     uv, weight = fields["chart_uv"].astype(np.float64), fields["chart_weight"].astype(np.float64)
@@ -218,11 +227,12 @@ def fit_garment(
     arm: np.ndarray | None = None,
     shapes: np.ndarray | None = None,
 ) -> Garment:
-    """The garment of ``mesh`` at rest on ``body``: patches and charts, the fit's error in the manifest.
+    """Returns the garment of ``mesh`` at rest on ``body``, with patches and charts, and with the fit's figures in the
+    manifest under "fit". It has no rest state, the default fabric, and None for ``drawn``.
 
-    ``vertices`` [m] (N, 3) are those of ``mesh`` at rest and then those that subdivision added, ``fine_faces`` (G, 3)
-    its triangles. ``count``, ``share`` and ``like`` as in ``patch_fields``, ``arm`` as in ``bind_to_body``;
-    ``shapes`` [m] (K, N, 3) are those of a mantle.
+    ``vertices`` [m] (N, 3): the rest positions of the vertices of ``mesh``, then of those that subdivision added;
+    ``fine_faces`` (G, 3): the subdivided triangles. ``count``, ``share`` and ``like`` as in ``patch_fields``, ``arm``
+    as in ``bind_to_body``. ``shapes`` [m] (K, N, 3): those of a mantle over arms along ``mantle_shapes.DIRECTIONS``.
     """
     surface = RestSurface(np.asarray(vertices, dtype=np.float64), fine_faces)
     makes: list[Callable[[], Any]] = [lambda: skin.bind_to_body(surface.vertices, fine_faces, body, arm=arm)]

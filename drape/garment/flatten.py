@@ -33,15 +33,17 @@ CUT_FLOOR = 0.02  # weight that a cut costs where the chart has none, so that cu
 
 
 def rims_cross(uv: np.ndarray, triangles: np.ndarray) -> bool:
-    """Whether two open edges of ``triangles`` (T, 3) cross in the plane ``uv`` (n, 2).
+    """Returns whether two boundary edges of ``triangles`` (T, 3) cross in the plane, where their vertices are at ``uv``
+    (n, 2).
 
-    A piece that is a disc and has no triangle upside down covers no place twice unless its rim crosses itself.
+    A disc with no triangle upside down covers no point of the plane twice unless its rim crosses itself.
     """
     return edges_cross(uv, meshes.boundary_edges(triangles))
 
 
 def edges_cross(uv: np.ndarray, rim: np.ndarray) -> bool:
-    """Whether two of the edges ``rim`` (E, 2) cross in the plane ``uv`` (n, 2)."""
+    """Returns whether two of the edges ``rim`` (E, 2) without a common end cross in the plane, where their vertices are
+    at ``uv`` (n, 2)."""
     start, along = uv[rim[:, 0]], uv[rim[:, 1]] - uv[rim[:, 0]]
 
     def side(points: np.ndarray) -> np.ndarray:
@@ -58,11 +60,12 @@ def edges_cross(uv: np.ndarray, rim: np.ndarray) -> bool:
 def lay_flat(
     points: np.ndarray, plane: np.ndarray, triangles: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """The kept rows (m,) of ``points`` (n, 3), and their places (m, 2), which cover no point of the plane twice.
+    """Returns the rows (m,) of ``points`` (n, 3) that are kept, and their positions (m, 2) in the plane, where no two
+    triangles overlap. None where no disc is left to lay out.
 
-    ``plane`` (n, 2): places to stay near. ``weight`` (n,): what each vertex counts in the chart; cuts run where it is
-    small. Vertices of cuts and of smaller pieces are left out, and those where parts touch by a corner. None where no
-    disc is left to lay out.
+    ``plane`` (n, 2): positions to stay near. ``weight`` (n,): the weight of each vertex in the chart; a piece that is
+    no disc is cut where it is small. Vertices of cuts and of smaller pieces are left out, and those where parts touch
+    by a corner.
     """
     disc = _largest_piece(triangles)
     while len(disc):
@@ -133,14 +136,16 @@ def _flatten(
 def lay_alike(
     placed: np.ndarray, before: np.ndarray, points: np.ndarray, triangles: np.ndarray, weight: np.ndarray
 ) -> np.ndarray | None:
-    """Returns places (n, 2) in the plane for ``points`` (n, 3), laid as an earlier state ``before`` (n, 3) of the same
-    cloth was, which was ``placed`` at (n, 2).
+    """Returns positions (n, 2) in the plane for ``points`` (n, 3), near ``placed`` (n, 2), where an earlier state
+    ``before`` (n, 3) of the same cloth was laid.
 
     None if the cloth folds over there, as in caches of before charts were laid flat, or if jets fit it clearly worse.
     """
-    found = _settled(placed, points[:, :2], points, triangles)
-    folds = (meshes.signed_areas(found, triangles) <= 0.0).any() or (found is placed and rims_cross(placed, triangles))
-    return None if folds or _misfit(found, points, weight) > WORSE * _misfit(placed, before, weight) else found
+    settled = _settled(placed, points[:, :2], points, triangles)
+    folds = (meshes.signed_areas(settled, triangles) <= 0.0).any() or (
+        settled is placed and rims_cross(placed, triangles)
+    )
+    return None if folds or _misfit(settled, points, weight) > WORSE * _misfit(placed, before, weight) else settled
 
 
 def _settled(placed: np.ndarray, target: np.ndarray, surface: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -21,10 +21,9 @@ SMALLEST_AREA_SHARE = 1e-6  # of the mean triangle in uv; below it a triangle sa
 
 @dataclass(frozen=True, eq=False)
 class CornerUv:
-    """The uv of every corner of G triangles (G, 3, 2), and the number (G,) of the island that each triangle lies in.
-
-    ``grain_along_v``: the maker of the cloth says that the warp is v everywhere.
-    """
+    """The texture coordinates of G triangles: ``corners`` (G, 3, 2), and ``island`` (G,), the number of the connected
+    piece of uv that each triangle lies in. ``grain_along_v``: the maker of the cloth says that the warp runs along v
+    everywhere."""
 
     corners: np.ndarray
     island: np.ndarray
@@ -33,12 +32,14 @@ class CornerUv:
 
 @dataclass(frozen=True, eq=False)
 class Grain:
-    """The grain, the panels and the seams of cloth with G triangles and H hinges, as its uv show them.
+    """The grain, the panels and the seams of cloth with G triangles and H hinges (edges between two triangles), as read
+    from texture coordinates.
 
-    ``warp`` (G, 3): unit warp in the plane of every triangle, vertical (``grain_along``) where ``from_uv`` (G,) bool is
-    False. ``panel_edges`` (G, 2, 2): edges in uv from the first corner, along (warp, weft), in units of uv. ``seam``
-    (H,) bool: hinges at which panels end. ``scale_m``: metres of cloth per unit of uv, zero where uv are no flattening;
-    ``share``: the share of the area on which they are one.
+    ``warp`` (G, 3): the unit warp direction in the plane of each triangle. ``from_uv`` (G,) bool: False where uv are no
+    flattening of the cloth; the warp there is the vertical laid into the triangle (``grain_along``). ``panel_edges``
+    (G, 2, 2): the two edges from the first corner, along (warp, weft), in units of uv. ``seam`` (H,) bool: hinges at
+    which panels end. ``scale_m``: metres of cloth per unit of uv, 0 where uv are no flattening. ``share``: the share of
+    the area in [0, 1] on which they are one.
     """
 
     warp: np.ndarray
@@ -50,10 +51,11 @@ class Grain:
 
 
 def corner_uv(uv: np.ndarray, uv_faces: np.ndarray, face_count: int) -> CornerUv | None:
-    """The ``uv`` (T, 2) of ``uv_faces`` (F, 3) on the corners of the ``face_count`` triangles of their subdivision.
+    """Returns the texture coordinates ``uv`` (T, 2), ``uv_faces`` (F, 3) at the corners of the ``face_count`` triangles
+    into which the F delivered ones are subdivided, in the order of ``meshes.subdivide``. They are linear in every
+    delivered triangle.
 
-    They are linear in every delivered triangle; triangles are in the order of ``meshes.subdivide``. None without uv, or
-    where the triangles are no subdivision.
+    None without texture coordinates, or where ``face_count`` is not F times a power of 4.
     """
     if not len(uv_faces):
         return None
@@ -81,12 +83,13 @@ def read_grain(
     on_corners: CornerUv | None,
     uv_unit_m: float | None = None,
 ) -> Grain:
-    """The grain of the cloth at rest, ``vertices`` [m] (N, 3), from the uv ``on_corners`` of its triangles.
+    """Returns the grain of the cloth at rest, ``vertices`` [m] (N, 3) and ``faces`` (G, 3), in their frame, as its
+    texture coordinates ``on_corners`` show it.
 
     Uv count as a flattening where they are one of ``modelled`` [m] (N, 3), the cloth as delivered: island by island,
     with one scale for all. Worn cloth stretches and shears, and knits do so by more than the limit. So with
-    ``uv_unit_m``, metres of cloth per unit of uv, uv are panels without that check. Raises ``InputError`` where there
-    are no uv then, or where their size is another.
+    ``uv_unit_m``, metres of cloth per unit of uv, uv are panels without that check. Raises ``InputError`` if there are
+    no uv then, or if their size is clearly another.
 
     The warp is uv's v, as patterns are laid out. It is u where an island lies on its side, so that a quarter turn
     brings the warp nearer to the vertical, unless the maker says that it is v. A panel cut on the bias stays so.
@@ -136,7 +139,8 @@ def read_grain(
 
 
 def panel_unit(grain: Grain, uv_unit_m: float | None) -> float | None:
-    """Metres per unit of uv as given, or found where uv are in metres; None where panels tell no lengths."""
+    """Returns the metres of cloth per unit of uv, if uv are panels of a known size: ``uv_unit_m`` if given, or 1 where
+    the scale of ``grain`` is about one metre; otherwise None."""
     return 1.0 if uv_unit_m is None and abs(grain.scale_m - 1.0) < METRIC_LIMIT else uv_unit_m
 
 

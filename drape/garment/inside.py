@@ -38,7 +38,8 @@ Cuffs = list[tuple[np.ndarray, int, int]]  # middles [m] (3,) of cuffs, and the 
 
 
 def tube_ends(mesh: GarmentMesh) -> list[Contour]:
-    """The open contours of ``mesh`` at which the cloth looks sideways, as at a cuff; the most so first."""
+    """Returns the closed borders of ``mesh`` at which the cloth looks sideways, as at a cuff; the most sideways first.
+    The mesh is in metres."""
     flatness = {one.loop.tobytes(): one.flatness for one in borders(mesh) if plainly_opening(one)}
     ends = [one for one in open_contours(mesh.vertices, mesh.faces) if one.loop.tobytes() in flatness]
     return sorted(ends, key=lambda one: flatness[one.loop.tobytes()])
@@ -59,12 +60,16 @@ def fit_from(
     sole: int | None = None,
     lock: float = 0.0,
 ) -> tuple[np.ndarray, float]:
-    """Returns the parameters that a fit from one start ends at, and its mean cost [m^2] with the priors.
+    """Returns the parameters (P,) of ``body`` after at most ``steps`` steps of Gauss-Newton from ``parameters``, and
+    their mean cost [m^2] over the cloth, priors included. Parameters are betas, joint rotations and translation as in
+    ``unpack_parameters``.
 
-    ``likely`` (P,) are the likely parameters; by default those of the mean shape in T-pose at the start's place.
-    ``slack`` is how strongly cloth off the skin that carries nothing pulls, relative to usual. ``place_prior_m`` (3,)
-    is what a metre from the likely place costs. The vertex ``sole``, if given, stands on the floor. With a ``lock``
-    gaps count from the gap of most of the band that carries the cloth, and near there they weigh at least that much.
+    The cloth: ``points`` [m] (N, 3), y up, their ``normals`` (N, 3), and ``contours`` that limbs pass through.
+    ``likely`` (P,): the parameters that priors draw towards; by default the mean shape in T-pose at the start's
+    translation. ``shape_prior_m`` and ``place_prior_m`` (3,) [m]: root of the cost of one beta, and of one metre of
+    translation. ``slack``: factor on the pull of cloth off the skin, but for the band at the top that carries the
+    garment. The vertex ``sole`` is drawn to the floor y = 0. With a ``lock`` above 0 gaps count from the usual gap of
+    that band, and near that gap they weigh at least ``lock``.
     """
     cuffs = _cuffs(body, contours, parameters)
     if likely is None:
@@ -151,12 +156,12 @@ def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray) -> 
     joints = body.posed_joints(pose[None], betas)[0] + trans
     number = {name: joint for joint, name in enumerate(JOINT_NAMES)}
     trunk = bone_chains(joints)[TRUNK][0]
-    cuffs, taken = [], set()
+    cuffs, parts = [], set()
     for contour in contours:
         limbs = [
             (float(np.linalg.norm(_perpendicular(contour.centre, joints[a], joints[b]))), a, b, part)
             for part, names in LIMBS.items()
-            if part not in taken
+            if part not in parts
             for a, b in pairwise([number[n] for n in names])
             if JOINT_NAMES[a].partition("_")[2] != "collar"
         ]
@@ -167,7 +172,7 @@ def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray) -> 
         beside = JOINT_NAMES[a].endswith("hip") and near > contour.length_m / (2.0 * np.pi)
         if near < inner and not beside:
             cuffs.append((contour.centre, a, b))
-            taken.add(part)
+            parts.add(part)
     return cuffs
 
 

@@ -23,12 +23,12 @@ from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
+from drape import forked
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.errors import InputError, refusing
 from drape.files.pictures import with_remade
-from drape.forked import each
 from drape.garment import avatars
 from drape.garment.accessories import bones_that_carry
 from drape.garment.body_pieces import without_bodies
@@ -71,7 +71,9 @@ def garment_digest(
     *,
     looks: str = "",
 ) -> str:
-    """The hex digest of everything that a garment is made of; ``looks`` is the digest of its looks."""
+    """Returns the SHA-256, as hex, of all that decides what garment intake makes: the file's bytes ``payload`` and
+    ``looks``, the digest of its looks, the avatar as ``parse_avatar`` returns it, the body, options, name and
+    sewing."""
     if isinstance(avatar, Path):
         avatar = hashlib.sha256(avatar.read_bytes()).hexdigest()
     chosen, usual = (asdict(one.completed_by(sewn)) for one in (options, DEFAULT_OPTIONS))
@@ -95,7 +97,8 @@ def garment_digest(
 
 
 def garment_name(text: str) -> str:
-    """Returns ``text`` turned into a garment's name: lower-case letters, digits and underscores."""
+    """Returns ``text`` as a garment's name: at most 64 lower-case letters, digits and underscores. Raises
+    ``InputError`` where none is left."""
     name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:64]
     if not name:
         raise InputError(
@@ -105,7 +108,7 @@ def garment_name(text: str) -> str:
 
 
 def intake(source: Path | bytes, **asked: Any) -> Garment:
-    """Makes one garment of a mesh file, at rest on the standard body, whatever garments are in it.
+    """Returns one garment made of all that a mesh file holds, at rest on the standard body.
 
     Arguments, what is stored and what is raised are those of ``intake_outfit``.
     """
@@ -127,14 +130,17 @@ def intake_outfit(
     begun: Report | None = None,
     whole: bool = False,
 ) -> list[Garment]:
-    """Makes the garments in a mesh file, the innermost first, at rest on ``body``; one of all where they are ``whole``.
+    """Returns the garments made of a mesh file, at rest on ``body``, the innermost first; with ``whole`` one garment of
+    all.
 
     ``source``: the file, or its bytes of the format ``kind``. ``avatar``: the body that the garment was modelled on
     (``drape.garment.avatars``). Left out, the file avatars.json beside the mesh names it; without an entry there it is
     the standard body where the garment lies close on that, and else it is looked for (``wearer_search``). A JSON file
-    of ``drape.garment.sewing`` beside the mesh says how the garment is sewn. With ``folder`` the result is stored
-    there, ``quick`` as in ``save_garment``, and the next intake of the same file finds it. ``report`` gets each line of
-    the log, and ``begun`` each of ``STAGES`` as it begins. Raises ``InputError``, and then writes nothing.
+    of ``drape.garment.sewing`` beside the mesh says how the garment is sewn.
+
+    With ``folder`` the garments are stored there, ``quick`` as in ``save_garment``, and the next intake of the same
+    file loads them. ``report`` is called with each line of the log, ``begun`` with each of ``STAGES`` as it begins.
+    Raises ``InputError``, and then writes nothing.
     """
     say, begins = report or (lambda line: None), begun or (lambda stage: None)
     begins("read")
@@ -143,23 +149,24 @@ def intake_outfit(
     if folder is not None and (stored := stored_outfit(folder, file.digest, whole=whole)):
         say(f"cached    {', '.join(one.file_name() for one in stored)}")
         return stored
-    made = _made(file, body, say, begins, whole=whole)
+    garments = _garments_of(file, body, say, begins, whole=whole)
     begins("store")
     if folder is not None:
-        for garment in made:
+        for garment in garments:
             say(f"stored    {save_garment(garment, folder, quick=quick)}")
-    return made
+    return garments
 
 
 HERE = {"unit": "m", "up": "y", "facing": "z", "trans": [0.0, 0.0, 0.0]}  # of a mesh that lies on its body already
 
 
 def intake_mesh(mesh: GarmentMesh, body: BodyModel, *, digest: str) -> Garment:
-    """Makes one garment of a ``mesh`` that lies on ``body`` in T-pose, in metres; raises what ``intake`` does."""
+    """Returns one garment made of ``mesh``, which lies on ``body`` in T-pose, in metres, y up; nothing is stored.
+    ``digest`` becomes the garment's. Raises ``InputError``."""
     looks, notes = with_remade(mesh.looks)
     named = replace(mesh, name=garment_name(mesh.name), looks=looks).noted(*notes)
     file = _File(named, b"", HERE, None, digest, DEFAULT_OPTIONS.completed_by(None))
-    (garment,) = _made(file, body, lambda line: None, lambda stage: None, whole=True, counted=False)
+    (garment,) = _garments_of(file, body, lambda line: None, lambda stage: None, whole=True, counted=False)
     return garment
 
 
@@ -195,7 +202,7 @@ def _opened(
     return _File(mesh, payload, meaning, sewn, digest, options.completed_by(sewn))
 
 
-def _made(
+def _garments_of(
     file: _File, body: BodyModel, say: Report, begins: Report, *, whole: bool, counted: bool = True
 ) -> list[Garment]:
     """The garments of ``file``, the innermost first; one of all where they are ``whole``, which says of how many if
@@ -216,18 +223,18 @@ def _made(
         say(f"sewn      {len(sewn.panels)} panels, {len(sewn.seams)} seams, {sewn.fabric}")
     started = time.perf_counter()
     begins("rest")
-    told: dict[str, Any] = {} if wearer is None else {"wearer": pictured(wearer, mesh)}
+    extra: dict[str, Any] = {} if wearer is None else {"wearer": pictured(wearer, mesh)}
     label = np.zeros(len(sheets.faces), dtype=int)
     if counted and not alone:
         label = garments_in(sheets, model.vertices, body)
     layers = int(label.max(initial=0)) + 1
     if layers > 1:
-        told |= {"layers": layers}
+        extra |= {"layers": layers}
     parts = [(mesh, sheets)] if whole else parted(mesh, sheets, label)
-    names = part_names(mesh, [one for one, _ in parts])
+    names = part_names(mesh, [delivered for delivered, _ in parts])
     cloth = {"sewn": sewn is not None, "carriers": carriers if len(parts) == 1 else None}
     sides = [outer] if outer is None or len(parts) == 1 else [outer[label == number] for number in range(layers)]
-    rests = each(
+    rests = forked.each(
         lambda own: rest_mesh(own[0][0], model, body, options, sheets=own[0][1], outer=own[1], **cloth),
         list(zip(parts, sides, strict=True)),
     )
@@ -235,16 +242,16 @@ def _made(
 
     def fitted(number: int) -> Garment:
         own = file.digest if len(rests) == 1 else part_digest(file.digest, number)
-        manifest = _manifest(parts[number][0], file.payload, model, options, rests[number]) | told
+        manifest = _manifest(parts[number][0], file.payload, model, options, rests[number]) | extra
         return _fitted(rests[number], names[number], body, own, manifest, file)
 
-    made = each(fitted, range(len(rests)))
-    for rest, one in zip(rests, made, strict=True):
-        for line in (*describe_rest(rest), *_describe_fit(one, options)):
+    garments = forked.each(fitted, range(len(rests)))
+    for rest, garment in zip(rests, garments, strict=True):
+        for line in (*describe_rest(rest), *_describe_fit(garment, options)):
             say(line)
     begins("cloth")
     say(f"took      {time.perf_counter() - started:.1f} s")
-    return made
+    return garments
 
 
 def _fitted(rest: RestMesh, name: str, body: BodyModel, digest: str, manifest: dict[str, Any], file: _File) -> Garment:
@@ -261,27 +268,28 @@ def _fitted(rest: RestMesh, name: str, body: BodyModel, digest: str, manifest: d
 
 
 def part_digest(digest: str, number: int) -> str:
-    """The digest of the garment ``number`` in a file of several with ``digest``."""
+    """Returns the hex digest of garment ``number``, counted from 0, in a file of several garments; ``digest`` is the
+    file's."""
     return hashlib.sha256(f"layer {number} {digest}".encode()).hexdigest()
 
 
 def stored_outfit(folder: Path, digest: str, *, whole: bool) -> list[Garment]:
-    """Returns the garments that ``intake_outfit`` stored in ``folder`` under ``digest``; none if one of them is
-    missing.
-    """
+    """Returns the garments that ``intake_outfit`` stored in ``folder`` for the file with ``digest``, the innermost
+    first; with ``whole`` the one garment of all. The list is empty if one of them is missing."""
 
-    def found(own: str) -> Garment | None:
+    def load(own: str) -> Garment | None:
         path = next(folder.glob(f"*-{own[:16]}.npz"), None)
         return None if path is None else load_garment(path)
 
-    one = found(digest)
-    if one is not None and (whole or "layers" not in one.manifest):
-        return [one]
-    first = None if whole else found(part_digest(digest, 0))
+    single = load(digest)
+    if single is not None and (whole or "layers" not in single.manifest):
+        return [single]
+    first = None if whole else load(part_digest(digest, 0))
     if first is None:
         return []
-    rest = [found(part_digest(digest, number)) for number in range(1, first.manifest["layers"])]
-    return [first, *(one for one in rest if one is not None)] if all(one is not None for one in rest) else []
+    others = [load(part_digest(digest, number)) for number in range(1, first.manifest["layers"])]
+    stored = [first, *(garment for garment in others if garment is not None)]
+    return stored if len(stored) > len(others) else []
 
 
 def _manifest(
@@ -313,9 +321,9 @@ def _describe_fit(garment: Garment, options: IntakeOptions) -> list[str]:
 
 
 def with_rest_state(garment: Garment, rest: RestMesh, options: IntakeOptions, sewn: Sewing | None = None) -> Garment:
-    """Returns ``garment``, which was fitted to ``rest``, with its rest state and fabric as ``options`` ask; figures of
-    the rest state go into the manifest. A garment that is ``sewn`` has its hinges from there.
-    """
+    """Returns ``garment``, which was fitted to ``rest``, with its rest state, with the fabric of ``options``, and with
+    figures of the rest state in the manifest under "rest". ``sewn`` says the angles and the stiffening of its hinges,
+    if it is known."""
     compact = rest.mesh
     row = np.concatenate([rest.kept, np.arange(len(compact.vertices), len(rest.vertices))])
     faces = garment.fine_faces.astype(np.int64)
@@ -340,7 +348,8 @@ def with_rest_state(garment: Garment, rest: RestMesh, options: IntakeOptions, se
 
 @refusing
 def main(arguments: list[str] | None = None) -> int:
-    """The command line; 0 when the garment is made, 2 when it is refused."""
+    """Runs the intake's command line. Returns the exit status: 0 if the garments were made, 2 if the file was
+    refused."""
     parser = argparse.ArgumentParser(prog="python -m drape.garment.intake", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("file", type=Path, help="OBJ, GLB, glTF, PLY, STL, USD, or a zip of one with its pictures")
     parser.add_argument("--name", help="default: the file's name")

@@ -20,15 +20,16 @@ PATCH_SHARE_RANGE = (0.75, 2.2)  # what the network is trained on
 
 @dataclass(frozen=True)
 class IntakeOptions:
-    """``unit`` and ``up`` of the file ("auto": by its place on the avatar).
+    """The options of an intake. ``unit`` and ``up``: the unit and the up axis of the file; "auto": as it lies best on
+    the avatar.
 
-    ``patches``: their number over that of ``patch_count_for``. More patches drape closer to physics, and slower
-    (docs/reference/quality.md measures the trade). ``rest``: what the cloth remembers of its shape
+    ``patches``: the number of patches over that of ``patch_count_for``. More patches drape closer to physics, and
+    slower (docs/reference/quality.md measures the trade). ``rest``: what the cloth remembers of its shape
     (``rest_detail.rest_of``). ``fabric``: a name or the numbers of ``fabric_table.fabric``; None stands for the fabric
     of the garment's sewing, or else jersey. ``uv_unit_m``: metres of cloth per unit of uv, where uv are its panels.
 
-    Raises ``InputError`` for a number of patches outside ``PATCH_SHARE_RANGE``, an unknown fabric or rest, and a unit
-    of uv that is not positive.
+    Raises ``InputError`` for ``patches`` outside ``PATCH_SHARE_RANGE``, an unknown fabric or rest, and a unit of uv
+    that is not positive.
     """
 
     unit: Unit = "auto"
@@ -58,7 +59,8 @@ class IntakeOptions:
             )
 
     def completed_by(self, sewn: Sewing | None) -> IntakeOptions:
-        """These options, with the fabric and the unit of uv from ``sewn`` where they leave them open."""
+        """Returns these options with ``fabric`` filled in, and ``uv_unit_m``, from ``sewn`` where they are None;
+        without ``sewn`` the fabric is the default one."""
         if sewn is None:
             return replace(self, fabric=self.fabric or DEFAULT_FABRIC)
         return replace(self, fabric=self.fabric or sewn.fabric, uv_unit_m=self.uv_unit_m or sewn.uv_unit_m)
@@ -68,7 +70,8 @@ DEFAULT_OPTIONS = IntakeOptions()
 
 
 def read_fabric(text: str) -> str | dict[str, Any]:
-    """A fabric as a command line gives it: a name, or its numbers as JSON."""
+    """Returns the fabric that a command line gives as ``text``: a name as it is, or a JSON object as a dictionary.
+    Raises ``InputError`` for broken JSON."""
     if not text.lstrip().startswith("{"):
         return text
     try:

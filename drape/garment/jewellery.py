@@ -18,9 +18,9 @@ from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MeshError
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.mesh_checks import AREA_MINIMUM, UNITS_M, consistent_turn
+from drape.garment.reading_hints import NO_HINTS, ReadingHints
 from drape.garment.registration import posed_by
 from drape.garment.sheets import pieces_of
-from drape.garment.told_reading import NOTHING_TOLD, ToldReading
 from drape.garment.wearer_fields import BENT_RAD, SHAPES, cloth_points, known_parameters
 from drape.garment.wearer_reading import USUAL_FRONTS, Reading, WearerCandidate, readings_of
 from drape.geometry import mesh_graphs, meshes
@@ -42,9 +42,9 @@ SURE, TRIED = 0.7, 4
 
 
 def jewellery_on(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[str, ...]:
-    """Returns the names of the bones that carry ``mesh`` [m] as jewellery on ``body`` with the ``skin`` [m] (V, 3);
-    none where the mesh is as large as cloth, or does not lie on the skin.
-    """
+    """Returns the names of the bones that carry the things in ``mesh`` [m] as jewellery, each once. It is empty
+    where the mesh is as large as cloth, or does not lie on the skin. ``skin`` [m] (V, 3): the vertices of the posed
+    ``body``."""
     if len(mesh.faces) == 0 or cloth_area(mesh) > AREA_MINIMUM:
         return ()
     points, _ = cloth_points(mesh.vertices, mesh.faces, COUNT)
@@ -58,7 +58,7 @@ def jewellery_on(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[
 
 
 def cloth_area(mesh: GarmentMesh) -> float:
-    """The area of ``mesh``, of closed pieces that of one side."""
+    """Returns the area of ``mesh`` in its unit squared; closed pieces count half, as cloth with two sides."""
     solid, sheet = _areas(mesh)
     return 0.5 * solid + sheet
 
@@ -73,7 +73,8 @@ def _areas(mesh: GarmentMesh) -> tuple[float, float]:
 
 
 def check_cloth(mesh: GarmentMesh) -> None:
-    """Refuses (``MeshError``) rings, chains, figures and the like, which tell no size and not where they are worn."""
+    """Raises ``MeshError`` if ``mesh`` consists of bulky solids, as rings, chains and figures do: they show neither
+    their size nor where they are worn."""
     (solid, sheet), label = _areas(mesh), pieces_of(mesh.vertices, mesh.faces)[0]
     if sheet:
         return
@@ -114,22 +115,23 @@ class _Try(NamedTuple):
     arms_rad: tuple[float, float]
 
 
-def jewellery_wearer(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING_TOLD) -> WearerCandidate | None:
-    """A known body that has all of the checked ``mesh`` on its skin, None where ``mesh`` may be cloth."""
+def jewellery_wearer(mesh: GarmentMesh, body: BodyModel, hints: ReadingHints = NO_HINTS) -> WearerCandidate | None:
+    """Returns the known body that has all of ``mesh`` on its skin, as jewellery. None where none has, or where ``mesh``
+    may be cloth. The mesh is checked, in the frame of its file; ``hints``: what was stated of the file."""
     (solid, sheet), points = _areas(mesh), cloth_points(mesh.vertices, mesh.faces, COUNT)[0]
     if sheet > solid:
         return None
     extent, area = float(np.ptp(points, axis=0).max()), 0.5 * solid + sheet
-    units = UNITS_M.items() if told.unit is None else (told.unit,)
-    found: list[_Try] = []
-    for reading in readings_of(units, told.up, told.front):
+    units = UNITS_M.items() if hints.unit is None else (hints.unit,)
+    tries: list[_Try] = []
+    for reading in readings_of(units, hints.up, hints.front):
         small = ON_HAND_M < extent * reading.scale < EXTENT_M[1] and area * reading.scale**2 < AREA_MINIMUM
-        usual = told.front is not None or reading.front in USUAL_FRONTS.get(reading.up, ())
-        usual &= told.up is not None or reading.up in ("+y", "+z")
+        usual = hints.front is not None or reading.front in USUAL_FRONTS.get(reading.up, ())
+        usual &= hints.up is not None or reading.up in ("+y", "+z")
         if small and usual:
             at = reading.apply(points)
-            found += [_tried(at, body, reading, origin, shape) for shape in SHAPES for origin in ("root", "floor")]
-    on_skin = sorted(one for one in found if one.far < ON_SKIN_M)
+            tries += [_tried(at, body, reading, origin, shape) for shape in SHAPES for origin in ("root", "floor")]
+    on_skin = sorted(one for one in tries if one.far < ON_SKIN_M)
     likely = (_worn(mesh, body, one) for one in on_skin[:TRIED])
     return next((one for one in likely if one is not None), None)
 

@@ -38,9 +38,8 @@ LEAST_M2 = 1e-4
 
 
 def spread(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: BodyModel) -> MovedGarment:
-    """Returns a mantle, ``vertices`` [m] (V, 3) and ``faces`` (F, 3) as it lies on ``avatar``, moved to the standard
-    body in T-pose.
-    """
+    """Returns a mantle moved to the standard body in T-pose [m], with its shapes over arms in other directions and its
+    arm shares. ``vertices`` [m] (V, 3) and ``faces`` (F, 3) lie on ``avatar``."""
     pose, lay = np.zeros((JOINT_COUNT, 3)), vertices
     if avatar.moved:
         pose = _pose_of(bone_motions(avatar.vertices, body.v_template, body.weights)[0])

@@ -34,7 +34,8 @@ SPREAD = 2  # the rest
 
 
 def pose_of(direction: np.ndarray) -> np.ndarray:
-    """The pose (24, 3) [rad] with the left upper arm along ``direction`` (3,) and the right one in its mirror."""
+    """Returns the pose (24, 3) [rad] whose left upper arm points along ``direction`` (3,), a unit vector, and whose
+    right one is its mirror image; other joints are at rest."""
     axis = np.cross([1.0, 0.0, 0.0], direction)
     turn = np.arccos(np.clip(direction[0], -1.0, 1.0)) * axis / max(float(np.linalg.norm(axis)), 1e-12)
     pose = np.zeros((JOINT_COUNT, 3))
@@ -45,7 +46,8 @@ def pose_of(direction: np.ndarray) -> np.ndarray:
 
 
 def shares_of(rotations: np.ndarray) -> np.ndarray:
-    """The shares (F, 2, K) of ``DIRECTIONS`` for the left and right arm, of bones with ``rotations`` (F, 24, 3, 3)."""
+    """Returns the weights (F, 2, K) of the K ``DIRECTIONS`` that interpolate between them for the left and the right
+    upper arm in F frames; they sum to one. ``rotations`` (F, 24, 3, 3): those of the bones in the world."""
     trunk = rotations[:, JOINT_NAMES.index("spine3")]
     directions = []
     for side, sign in SIDES.items():
@@ -61,10 +63,11 @@ def shares_of(rotations: np.ndarray) -> np.ndarray:
 
 
 def shaped(rest: np.ndarray, ways: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-    """Returns the vertices [m] (F, N, 3) of a mantle before skinning, for bones turned by ``rotations`` (F, 24, 3, 3).
+    """Returns the vertices [m] (F, N, 3) of a mantle in T-pose before skinning, for F frames with bone rotations
+    ``rotations`` (F, 24, 3, 3).
 
-    ``rest`` [m] (N, 3) are its vertices at rest, ``ways`` [m] (N, K, 3) their displacements from there for arms along
-    each of ``DIRECTIONS``.
+    ``rest`` [m] (N, 3): its vertices at rest. ``ways`` [m] (N, K, 3): their displacements from there for arms along
+    each of the K ``DIRECTIONS``.
     """
     shares = shares_of(rotations)
     across = np.clip(0.5 + 0.5 * rest[:, 0] / MIDDLE_M, 0.0, 1.0)
@@ -76,8 +79,7 @@ def shaped(rest: np.ndarray, ways: np.ndarray, rotations: np.ndarray) -> np.ndar
 
 def ways_to(shapes: np.ndarray, rest: np.ndarray, binding: BodyBinding, body: BodyModel) -> np.ndarray:
     """Returns the displacements [m] (N, K, 3) from ``rest`` (N, 3) after which skinning by ``binding`` gives ``shapes``
-    (K, N, 3), the mantle over arms along each of ``DIRECTIONS``.
-    """
+    [m] (K, N, 3): the mantle over arms along each of the K ``DIRECTIONS``."""
     rotations, translations = body.bones(np.stack([pose_of(direction) for direction in DIRECTIONS]))
     turn = np.einsum("vj,kjab->kvab", binding.weights, rotations, optimize=True)
     back = np.linalg.solve(turn, (shapes - binding.weights @ translations)[..., None])[..., 0]
@@ -87,9 +89,8 @@ def ways_to(shapes: np.ndarray, rest: np.ndarray, binding: BodyBinding, body: Bo
 def worn(
     rest: np.ndarray, ways: np.ndarray, binding: BodyBinding, body: BodyModel, poses: np.ndarray, betas: np.ndarray
 ) -> np.ndarray:
-    """Returns the vertices [m] (F, N, 3) of a mantle in ``poses`` (F, 24, 3) [rad] on a body of the shape ``betas``
-    (S,), relative to its root; ``rest`` and ``ways`` as in ``shaped``.
-    """
+    """Returns the vertices [m] (F, N, 3) of a mantle on ``body`` of the shape ``betas`` (S,) in ``poses`` (F, 24, 3)
+    [rad], along the world's axes and counted from the pelvis; ``rest`` and ``ways`` as in ``shaped``."""
     rotations, translations = body.bones(poses, None, betas)
     place = shaped(rest, ways, rotations) + binding.shapedirs @ betas
     return np.asarray(skin_points(place, binding.weights, rotations, translations)) - body.rest_joints(betas)[0]

@@ -39,7 +39,8 @@ SAMPLE_COUNT = 600
 
 @dataclass(frozen=True, order=True)
 class Placement:
-    """A reading of the file: its ``unit``, its ``up`` axis, and whether its origin is on the avatar's ``floor``."""
+    """How a file's coordinates may be read: their ``unit`` ("m", "cm", ...), the ``up`` axis ("y" or "z"), and whether
+    the origin is on the ``floor`` under the avatar, not at the avatar's own origin."""
 
     unit: str
     up: str
@@ -66,10 +67,11 @@ def check_mesh(
     placed: bool = False,
     carried: bool = False,
 ) -> GarmentMesh:
-    """Returns ``mesh`` in metres, y up, consistently wound with normals outward, on ``avatar``; raises ``MeshError``.
+    """Returns ``mesh`` on ``avatar`` in metres, y up, wound consistently with normals outward, with notes. Vertices
+    keep their order and number.
 
-    Vertices keep their order and number. A mesh that is ``placed`` is checked and on its avatar in metres already; what
-    is ``carried`` by a bone may be smaller than cloth.
+    ``placed``: the mesh is checked and lies on its avatar in metres already. ``named``: somebody named the avatar.
+    ``carried``: bones carry it, so it may be smaller than cloth. Raises ``MeshError`` for a mesh that cannot be cloth.
     """
     mesh = mesh if placed else place_on_avatar(check_surface(mesh), avatar, unit=unit, up=up, named=named)
     mesh = orient_outward(mesh, avatar)
@@ -79,10 +81,10 @@ def check_mesh(
 
 
 def check_surface(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` without faces that have no area.
+    """Returns ``mesh`` without faces that have no area or repeat another.
 
-    Raises ``MeshError`` where it is empty or too large, a number is not finite, an index is out of range, or faces meet
-    at edges as no cloth does.
+    Raises ``MeshError`` where it is empty or too large, a number is not finite, an index is out of range, or an edge
+    has more than two faces.
     """
     check_arrays(mesh, vertex_limit=2 * VERTEX_LIMIT)
     mesh = without_flat_faces(mesh)
@@ -91,7 +93,8 @@ def check_surface(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def check_area(mesh: GarmentMesh, name: str) -> None:
-    """Refuses a mesh too small for a garment, whose unit then is not the metre; ``name`` is the field refused."""
+    """Raises ``MeshError``, about the field ``name``, if ``mesh`` [m] has less than ``AREA_MINIMUM`` of area: its unit
+    is not the metre then."""
     area = float(meshes.face_areas(mesh.vertices, mesh.faces).sum())
     if area < AREA_MINIMUM:
         raise MeshError(
@@ -103,7 +106,8 @@ def check_area(mesh: GarmentMesh, name: str) -> None:
 
 
 def check_arrays(mesh: GarmentMesh, *, vertex_limit: int = VERTEX_LIMIT) -> None:
-    """Refuses empty, tiny, huge and non-finite meshes, and indices out of range."""
+    """Raises ``MeshError`` for a mesh with no faces, too few or more than ``vertex_limit`` vertices, all vertices at
+    one place, numbers that are not finite, or indices out of range."""
     if len(mesh.vertices) == 0 or len(mesh.faces) == 0:
         raise MeshError(
             "garment",
@@ -133,9 +137,8 @@ def check_arrays(mesh: GarmentMesh, *, vertex_limit: int = VERTEX_LIMIT) -> None
 
 
 def without_flat_faces(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` without faces that have no area or repeat an earlier face; refuses a mesh with no other
-    faces.
-    """
+    """Returns ``mesh`` without faces that have no area or repeat an earlier face, with a note; ``mesh`` itself if there
+    are none. Raises ``MeshError`` where no face is left."""
     corners = mesh.vertices[mesh.faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     altitude = 2.0 * meshes.face_areas(mesh.vertices, mesh.faces) / np.maximum(longest, 1e-300)
@@ -154,7 +157,7 @@ def without_flat_faces(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def check_edges(mesh: GarmentMesh) -> None:
-    """Refuses edges with more than two faces."""
+    """Raises ``MeshError`` if an edge of ``mesh`` has more than two faces."""
     ends, counts = meshes.edge_uses(mesh.faces)
     heavy = np.flatnonzero(counts > 2)
     if len(heavy):
@@ -170,11 +173,11 @@ def check_edges(mesh: GarmentMesh) -> None:
 def place_on_avatar(
     mesh: GarmentMesh, avatar: Avatar, *, unit: Unit = "auto", up: Up = "auto", named: bool = True
 ) -> GarmentMesh:
-    """Returns ``mesh`` in metres, y up, in the avatar's coordinates: the reading of unit, axis and floor that fits
-    best.
+    """Returns ``mesh`` in metres, y up, in the coordinates of ``avatar``: with the unit, up axis and origin in which it
+    fits the avatar best; ``unit`` and ``up`` fix the first two.
 
-    The plain reading (metres, y up, the avatar's origin) wins unless another fits clearly better. Where nobody
-    ``named`` the avatar the garment must fit closely.
+    Metres, y up, at the avatar's origin win unless others fit clearly better. Unless somebody ``named`` the avatar the
+    garment must fit it closely. Raises ``MeshError`` where nothing fits, or two units fit equally.
     """
     check_options(unit, up)
     used = np.unique(mesh.faces)
@@ -189,7 +192,7 @@ def place_on_avatar(
         for reading in itertools.starmap(Placement, readings)
     )
     best, chosen = ranked[0]
-    plain = next((found for found, reading in ranked if reading.plain), np.inf)
+    plain = next((cost for cost, reading in ranked if reading.plain), np.inf)
     if plain <= PLAIN_PREFERENCE * best:
         best, chosen = plain, Placement("m", "y", False)
     if not best <= (MISFIT_LIMIT if named else MISFIT_LIMIT_UNNAMED):
@@ -201,7 +204,7 @@ def place_on_avatar(
             got=f"an extent of {extent} around {np.round(sample.mean(axis=0), 3).tolist()}",
             cure="Say which avatar it was modelled on (avatar), its unit (unit) and its up axis (up).",
         )
-    rival = next((r for found, r in ranked if r.unit != chosen.unit and found < RIVAL_MARGIN * best), None)
+    rival = next((r for cost, r in ranked if r.unit != chosen.unit and cost < RIVAL_MARGIN * best), None)
     if rival is not None and not chosen.plain:
         raise MeshError(
             "garment unit",
@@ -216,7 +219,7 @@ def place_on_avatar(
 
 
 def check_options(unit: str, up: str) -> None:
-    """Refuses an unknown ``unit`` or ``up`` axis."""
+    """Raises ``MeshError`` for an unknown ``unit`` or ``up`` axis."""
     _check_option("unit", unit, ("auto", *UNITS_M))
     _check_option("up", up, ("auto", *UP_AXES))
 
@@ -227,10 +230,11 @@ def _check_option(name: str, value: str, allowed: tuple[str, ...]) -> None:
 
 
 def misfit(points: np.ndarray, avatar: Avatar, normals: np.ndarray) -> float:
-    """The misfit of ``points`` [m] (N, 3) round ``avatar`` with vertex ``normals``; infinite beyond ``EXTENT_M``.
+    """Returns how badly cloth at ``points`` [m] (N, 3) lies around ``avatar``, whose vertices have ``normals`` (V, 3):
+    0 on the skin, infinite if the extent of the points is outside ``EXTENT_M``.
 
-    It is the mean distance from the skin, plus four times the depth below ``SKIN_DEPTH_M`` inside it, over the extent
-    of the points: a garment read too small is near the skin only because it is small, and the extent takes that back.
+    It is the mean distance from the skin, plus four times the depth below ``SKIN_DEPTH_M`` inside it, over the extent.
+    A garment read too small is near the skin only because it is small; the division by its extent makes up for that.
     """
     extent = float(np.ptp(points, axis=0).max())
     if not EXTENT_M[0] <= extent <= EXTENT_M[1]:
@@ -242,9 +246,8 @@ def misfit(points: np.ndarray, avatar: Avatar, normals: np.ndarray) -> float:
 
 
 def orient_outward(mesh: GarmentMesh, avatar: Avatar) -> GarmentMesh:
-    """Returns ``mesh`` wound consistently, each piece with its normals away from the body; refuses a one-sided
-    surface.
-    """
+    """Returns ``mesh`` wound consistently, each connected piece with its normals away from ``avatar``, with a note if
+    faces were turned. Raises ``MeshError`` for a one-sided surface."""
     turn = consistent_turn(mesh.faces)
     faces = np.where(turn[:, None], mesh.faces[:, ::-1], mesh.faces)
     normals = meshes.area_vectors(mesh.vertices, faces)
@@ -265,7 +268,8 @@ def orient_outward(mesh: GarmentMesh, avatar: Avatar) -> GarmentMesh:
 
 
 def consistent_turn(faces: np.ndarray) -> np.ndarray:
-    """Which faces (F,) to reverse so that neighbours agree, the fewest per piece; refuses where none does it."""
+    """Returns which of ``faces`` (F, 3) to reverse, bool (F,), so that neighbours are wound alike: the fewest of each
+    connected piece. Raises ``MeshError`` for a one-sided piece."""
     turn, piece = fewest_turned(faces)
     halves, first, second = meshes.edge_pairs(np.where(turn[:, None], faces[:, ::-1], faces))
     clash = halves[first, 0] == halves[second, 0]
@@ -281,15 +285,17 @@ def consistent_turn(faces: np.ndarray) -> np.ndarray:
 
 
 def fewest_turned(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which faces (F,) to reverse so that neighbours agree, the fewest of each piece, and the piece (F,) of each; in a
-    one-sided piece some do not agree then. Edges have at most two faces."""
+    """Returns which of ``faces`` (F, 3) to reverse, bool (F,), so that neighbours are wound alike: the fewest of each
+    connected piece; and the number (F,) of the piece of each face. In a one-sided piece some neighbours still differ.
+    Edges must have at most two faces."""
     oriented, piece = map(np.asarray, igl.bfs_orient(np.ascontiguousarray(faces, dtype=np.int64)))
     turn = (oriented != faces).any(axis=1)
     return turn ^ (2 * np.bincount(piece, turn) > np.bincount(piece))[piece], piece
 
 
 def describe(mesh: GarmentMesh) -> list[str]:
-    """Notes on a mesh that is accepted: its pieces, its openings and its unused vertices."""
+    """Returns notes about ``mesh``: the numbers of its pieces, its openings and its unused vertices, and a warning
+    about closed pieces."""
     label = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))
     used = np.unique(mesh.faces)
     pieces = np.unique(label[used])

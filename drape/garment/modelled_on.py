@@ -13,8 +13,8 @@ from drape.garment.caps import without_pits
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import IntakeOptions
 from drape.garment.mesh_checks import check_options, check_surface, place_on_avatar
+from drape.garment.reading_hints import NO_HINTS, ReadingHints, reading_hints
 from drape.garment.sheets import with_used_vertices
-from drape.garment.told_reading import NOTHING_TOLD, ToldReading, told_reading
 from drape.garment.unnamed_avatar import on_standard, worn_by
 from drape.garment.wearer_reading import WearerCandidate
 
@@ -22,21 +22,22 @@ from drape.garment.wearer_reading import WearerCandidate
 def modelled_on(
     mesh: GarmentMesh, body: BodyModel, options: IntakeOptions, meaning: Any = None
 ) -> tuple[GarmentMesh, Avatar, WearerCandidate | None]:
-    """Returns ``mesh``, checked, in metres on its avatar; that avatar; and its wearer, where one was looked for.
+    """Returns ``mesh``, checked, in metres in the coordinates of its avatar; that avatar; and the body that was found
+    in the cloth, None where the avatar was named or is the standard body.
 
-    ``meaning`` is what ``avatars.parse_avatar`` returns, with what it tells of the file (``told_reading``). Raises
-    ``MeshError`` where the mesh is no cloth or no human body fits in it, and ``BodyError`` for an avatar that is not a
-    body.
+    ``meaning``: what ``avatars.parse_avatar`` returns, whose dictionary may also state unit and axes of the file
+    (``reading_hints``). Raises ``MeshError`` where the mesh is no cloth or no human body fits in it, and ``BodyError``
+    for an avatar that is not a body.
     """
     check_options(options.unit, options.up)
-    given, meaning = told_reading(meaning)
+    hints, meaning = reading_hints(meaning)
     checked = check_surface(mesh)
     if meaning is not None:
-        worn = _on_named(checked, body, options, given, meaning)
-    elif given == NOTHING_TOLD and (placed := on_standard(checked, body, options)) is not None:
+        worn = _on_named(checked, body, options, hints, meaning)
+    elif hints == NO_HINTS and (placed := on_standard(checked, body, options)) is not None:
         return placed, standard_avatar(body), None
     else:
-        worn = worn_by(checked, body, options, given)
+        worn = worn_by(checked, body, options, hints)
     placed, avatar, wearer = worn
     keep = without_pits(placed.vertices, placed.faces, body.regressor @ avatar.vertices)
     if not keep.all():  # what is delivered stays in its places, as ``join_sheets`` has it
@@ -47,16 +48,16 @@ def modelled_on(
 
 
 def _on_named(
-    mesh: GarmentMesh, body: BodyModel, options: IntakeOptions, told: ToldReading, meaning: Any
+    mesh: GarmentMesh, body: BodyModel, options: IntakeOptions, hints: ReadingHints, meaning: Any
 ) -> tuple[GarmentMesh, Avatar, None]:
     """The checked ``mesh`` on the avatar of that ``meaning``; where a body's place and all of the file's reading are
     told, there it stays."""
     avatar = read_avatar(meaning, body)
-    if told.reading is not None and isinstance(meaning, dict) and "trans" in meaning:
-        return replace(mesh, vertices=told.reading.apply(mesh.vertices)), avatar, None
+    if hints.reading is not None and isinstance(meaning, dict) and "trans" in meaning:
+        return replace(mesh, vertices=hints.reading.apply(mesh.vertices)), avatar, None
     unit, up = options.unit, options.up
-    if told.unit is not None:
-        mesh, unit = replace(mesh, vertices=told.unit[1] * mesh.vertices), "m"
-    if told.turned is not None:
-        mesh, up = replace(mesh, vertices=told.turned.apply(mesh.vertices)), "y"
+    if hints.unit is not None:
+        mesh, unit = replace(mesh, vertices=hints.unit[1] * mesh.vertices), "m"
+    if hints.turned is not None:
+        mesh, up = replace(mesh, vertices=hints.turned.apply(mesh.vertices)), "y"
     return place_on_avatar(mesh, avatar, unit=unit, up=up), avatar, None

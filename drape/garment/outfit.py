@@ -29,9 +29,8 @@ SAMPLES = 400
 
 
 def garments_in(sheets: GarmentMesh, skin: np.ndarray, body: BodyModel) -> np.ndarray:
-    """Returns the number (F,) of the garment that each face of ``sheets`` [m] belongs to, 0 for the one nearest to the
-    ``skin`` [m] (S, 3) of ``body``.
-    """
+    """Returns for each face of ``sheets`` [m] the number (F,) of the garment that it belongs to, from 0, the innermost.
+    ``skin`` [m] (S, 3): the vertices of ``body`` in the pose in which it wears them."""
     points, faces = sheets.vertices, sheets.faces
     piece, area, bears = bearing_pieces(points, faces)
     own = bears & (area > max(OWN_M2, OWN_SHARE * area.max()))
@@ -62,8 +61,9 @@ def garments_in(sheets: GarmentMesh, skin: np.ndarray, body: BodyModel) -> np.nd
 
 
 def parted(mesh: GarmentMesh, sheets: GarmentMesh, label: np.ndarray) -> list[tuple[GarmentMesh, GarmentMesh]]:
-    """Returns for each garment its part of the delivered ``mesh``, and its part of ``sheets`` (``join_sheets``,
-    which may lie elsewhere). ``label`` (F,) is what ``garments_in`` returned for the sheets."""
+    """Returns for each garment, from number 0, its part of the delivered ``mesh`` and its part of ``sheets``
+    (``join_sheets``, which may have been moved since). ``label`` (F,): the garment of each face of the sheets, from
+    ``garments_in``."""
     if label.max(initial=0) == 0:
         return [(mesh, sheets)]
     count = len(mesh.vertices)
@@ -83,15 +83,16 @@ def parted(mesh: GarmentMesh, sheets: GarmentMesh, label: np.ndarray) -> list[tu
 
 
 def part_names(mesh: GarmentMesh, parts: Sequence[GarmentMesh]) -> list[str]:
-    """Returns a name for each of the ``parts`` of ``mesh``: the name of its material, if it has one that no other part
-    has; otherwise a number."""
+    """Returns a name for each of the ``parts`` of ``mesh``, which begins with the mesh's: it goes on with the part's
+    material, if it has one that no other part has; otherwise with a number from 1. A single part has the mesh's
+    name."""
     if len(parts) == 1:
         return [mesh.name]
     used = [np.unique(part.face_material) for part in parts]
     names = []
     for number, own in enumerate(used, start=1):
-        told = len(own) == 1 and sum(own[0] in other for other in used) == 1
-        names.append(f"{mesh.name} {mesh.material_names[own[0]] if told else number}")
+        unique = len(own) == 1 and sum(own[0] in other for other in used) == 1
+        names.append(f"{mesh.name} {mesh.material_names[own[0]] if unique else number}")
     return names
 
 

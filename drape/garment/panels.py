@@ -27,12 +27,12 @@ END = 0.05  # of an edge: a vertex nearer to its end, or to the one before, does
 
 
 def with_sewn_panels(sheets: GarmentMesh, skin: np.ndarray) -> tuple[GarmentMesh, np.ndarray]:
-    """Returns ``sheets`` [m] with the panels of a pattern sewn to each other, and the ``outer_sides`` (F,) of the faces
-    that they had.
+    """Returns ``sheets`` [m] (``join_sheets``) with the panels of a pattern sewn to each other, and for each of its
+    faces whether it is an outer side, bool (F,) (``walls.outer_sides``).
 
-    ``sheets`` (``join_sheets``) lie round a body with the points ``skin`` [m] (S, 3). Inner sides of walls are
-    left out. ``sheets`` themselves are returned if no two pieces have a seam. Vertices keep their places and their
-    order; those that become one follow them.
+    Inner sides of walls are left out of what is sewn. If no two pieces have a seam, ``sheets`` themselves are returned.
+    Vertices keep their places and their order; those that were joined follow them. ``skin`` [m] (S, 3): points of the
+    body inside.
     """
     points = sheets.vertices
     outer = outer_sides(points, sheets.faces, KDTree(skin))
@@ -107,13 +107,13 @@ def _vertices_on_borders(
     return {half: _apart(sorted(inserted)) for half, inserted in by_half.items()}
 
 
-def _apart(found: list[tuple[float, int]]) -> list[tuple[float, int]]:
+def _apart(inserted: list[tuple[float, int]]) -> list[tuple[float, int]]:
     """Those of ``found`` that are an ``END`` behind the one before."""
-    kept = found[:1]
-    for along, vertex in found[1:]:
-        if along > kept[-1][0] + END:
-            kept.append((along, vertex))
-    return kept
+    spaced = inserted[:1]
+    for along, vertex in inserted[1:]:
+        if along > spaced[-1][0] + END:
+            spaced.append((along, vertex))
+    return spaced
 
 
 def _seams(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:

@@ -23,16 +23,18 @@ PATCH_COUNT_RANGE = (100, 400)
 
 
 def patch_count_for(area_m2: float, share: float = 1.0) -> int:
-    """K = clamp(area / 0.008, 100, 400) (OneFit, appendix A.2), or ``share`` times as many."""
+    """Returns the number of patches for cloth of ``area_m2``: ``share`` times clamp(area / 0.008, 100, 400), rounded
+    (OneFit, appendix A.2)."""
     low, high = PATCH_COUNT_RANGE
     return round(share * int(np.clip(area_m2 / PATCH_AREA_M2, low, high)))
 
 
 def vertex_graph(vertices: np.ndarray, faces: np.ndarray) -> scipy.sparse.csr_matrix:
-    """Symmetric graph (N, N) of edge lengths [m], with the diagonals across each edge.
+    """Returns the sparse symmetric matrix (N, N) of edge lengths [m], and of the lengths of the diagonals across each
+    edge.
 
-    The diagonals join the two vertices opposite an edge by their straight distance: on a
-    triangle mesh they take most of the direction bias out of shortest paths.
+    A diagonal joins the two vertices opposite an edge by their straight distance. Diagonals take most of the direction
+    bias out of shortest paths on a triangle mesh.
     """
     sides = np.concatenate([faces[:, [0, 1, 2]], faces[:, [1, 2, 0]], faces[:, [2, 0, 1]]])
     low, high = np.minimum(sides[:, 0], sides[:, 1]), np.maximum(sides[:, 0], sides[:, 1])
@@ -55,11 +57,12 @@ def partition(
     seed: int,
     graph: scipy.sparse.csr_matrix | None = None,
 ) -> np.ndarray:
-    """Cluster label (N,) in [0, K) of each vertex; every cluster is connected and none is empty.
+    """Returns the cluster (N,) int of each vertex, from 0 to K - 1; every cluster is connected and none is empty.
 
-    ``weight`` (N,) is the mass of a vertex: its area, times a density where patches
-    should be smaller. Every component gets at least one cluster, so K may exceed ``count``
-    on meshes of many pieces.
+    ``weight`` (N,) is the mass of a vertex: its area, times a density where clusters should be smaller. Every connected
+    piece of the mesh gets at least one cluster, so K may exceed ``count`` on meshes of many pieces. ``seed`` decides
+    the random draws; ``graph`` is the ``vertex_graph``, if known. Raises ``MeshError`` for a ``count`` below 1 or above
+    N.
     """
     if not 1 <= count <= len(vertices):
         raise MeshError(

@@ -18,7 +18,8 @@ BOUNDARY_REACH_M = 0.25  # farther hems are all alike
 
 
 def saturated(offsets: Array) -> Array:
-    """Offsets [m] (..., 3) with their length r turned into tanh(r / 0.3): far joints say little about a patch."""
+    """Returns ``offsets`` [m] (..., 3) with their length r turned into tanh(r / 0.3 m), without unit: far joints say
+    little about a patch."""
     xp = namespace(offsets)
     # A maximum and not a sum: graph optimisers take "+ 1e-12" for "+ 0" and drop the guard.
     reach = xp.sqrt(xp.maximum(xp.sum(offsets * offsets, axis=-1, keepdims=True), like(offsets, 1e-12)))
@@ -26,7 +27,8 @@ def saturated(offsets: Array) -> Array:
 
 
 def positional_encoding(points: np.ndarray) -> np.ndarray:
-    """Points and their sines and cosines at ``FREQUENCIES``, (..., 3 + 6 n) (Mildenhall et al. 2020)."""
+    """Returns ``points`` [m] (..., 3) followed by their sines and cosines at the n ``FREQUENCIES``, (..., 3 + 6 n)
+    (Mildenhall et al. 2020)."""
     parts = [points]
     for frequency in FREQUENCIES:
         parts += [np.sin(np.pi * frequency * points), np.cos(np.pi * frequency * points)]
@@ -46,7 +48,13 @@ def patch_features(
     graph: scipy.sparse.csr_matrix,
     body: BodyModel,
 ) -> np.ndarray:
-    """Features (K, D) float32 of K patches; distances in decimetres so that entries are near one."""
+    """Returns the features (K, D) float32 of K patches that the garment encoder reads; most distances are in
+    decimetres, so that entries are near one.
+
+    Of the patches in the body's frame: ``centre`` [m] (K, 3), ``rotation`` (K, 3, 3), ``scale`` (K,), ``jet`` (K, 27),
+    bone ``weights`` (K, 24), and ``seeds`` (K,), the vertex nearest to each centre. Of the garment: ``vertices`` [m]
+    (N, 3), ``faces`` (G, 3), and ``graph``, its ``vertex_graph``.
+    """
     joints = body.joints_template
     local = np.einsum("kba,kjb->kja", rotation, joints[None] - centre[:, None])  # joints in the patch frame
     joint_offsets = saturated(local).reshape(len(centre), -1)

@@ -25,8 +25,9 @@ Mesh = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Sitter:
-    """A garment to draw: vertices [m] (V, 3), faces (F, 3), texture coordinates ``uv`` (T, 2) and ``uv_faces`` (F, 3)
-    or both empty, ``face_material`` (F,) and the ``looks`` of the materials."""
+    """A garment to draw: ``vertices`` [m] (V, 3), ``faces`` (F, 3), texture coordinates ``uv`` (T, 2) and ``uv_faces``
+    (F, 3) or both empty, ``face_material`` (F,), the number of each face's material, and ``looks``, those of the
+    materials."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -37,14 +38,14 @@ class Sitter:
 
 
 def sitter_at_rest(garment: Garment) -> Sitter:
-    """Returns ``garment`` as it was delivered, at rest on its body."""
+    """Returns the surface of ``garment`` that is drawn, at rest on the body."""
     own, vertices = garment.surface, garment.drawn_at_rest().astype(np.float64)
     return Sitter(vertices, own.faces.astype(np.int64), own.uv, own.uv_faces, own.face_material, own.looks)
 
 
 def portrait(cloth: Sitter, skin: Mesh | None, size: int, *, whole: bool = False) -> bytes:
-    """A PNG of ``size`` pixels along each side of ``cloth`` on ``skin``, or alone; the cloth fills it, or with
-    ``whole`` both do."""
+    """Returns the bytes of a PNG, ``size`` pixels wide and high, of ``cloth`` on ``skin``, or alone if that is None.
+    The cloth fills the picture; with ``whole`` cloth and skin together do."""
     from PIL import Image  # not before the first picture: frames have no use for it
 
     seen = np.concatenate([cloth.vertices, skin[0]]) if whole and skin is not None else cloth.vertices
@@ -70,7 +71,8 @@ def portrait(cloth: Sitter, skin: Mesh | None, size: int, *, whole: bool = False
 
 
 def paint_of(cloth: Sitter) -> Paint | None:
-    """The colours of ``cloth`` by its looks, None where it has none; a material without a look is undyed."""
+    """Returns a function that gives the colours of ``cloth`` by its looks (``raster.Paint``); None where no material
+    has a look. A material without a look has the colour of undyed cloth."""
     known = {number: look for number, look in enumerate(cloth.looks.materials) if look is not None}
     if not known:
         return None

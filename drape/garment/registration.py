@@ -46,7 +46,8 @@ BELOW = _below()
 
 
 def body_units(vertices: np.ndarray, *, name: str = "avatar") -> tuple[float, np.ndarray]:
-    """The scale that makes ``vertices`` (V, 3) a standing person, y up, and the scaled vertices [m]."""
+    """Returns the scale, one of ``UNIT_SCALES``, that makes ``vertices`` (V, 3), y up, a person of plausible height in
+    metres, and the scaled vertices [m] (V, 3). Raises ``BodyError`` where none does."""
     height = float(np.ptp(vertices[:, 1])) if len(vertices) else 0.0
     fitting = [scale for scale in UNIT_SCALES if HEIGHTS_M[0] <= height * scale <= HEIGHTS_M[1]]
     if not fitting:
@@ -60,7 +61,8 @@ def body_units(vertices: np.ndarray, *, name: str = "avatar") -> tuple[float, np
 
 
 class BodyRegistration(NamedTuple):
-    """Shape ``betas`` (S,), ``pose`` (24, 3) [rad], ``trans`` (3,) [m] of the standard body, and the residual [mm]."""
+    """The standard body fitted to a surface: shape ``betas`` (S,), ``pose`` (24, 3) [rad] and translation ``trans``
+    (3,) [m]; ``residual_mm`` is the mean distance of the surface from it."""
 
     betas: np.ndarray
     pose: np.ndarray
@@ -71,17 +73,19 @@ class BodyRegistration(NamedTuple):
 def register_body(
     vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, name: str = "avatar"
 ) -> tuple[np.ndarray, float]:
-    """The standard body's vertices [m] (V, 3) laid on a surface, and the residual [mm]: mean distance after the fit.
+    """Returns the vertices [m] (V, 3) of ``body`` fitted to a surface and then drawn onto it, and the mean distance
+    [mm] of the surface from the fit. ``vertices`` [m] and ``faces`` are the surface's.
 
-    Raises ``BodyError`` above ``RESIDUAL_LIMIT_MM``.
+    Raises ``BodyError`` for a distance above ``RESIDUAL_LIMIT_MM``, and for a surface of fewer than 500 vertices.
     """
-    found = fit_body(vertices, faces, body, name=name)
-    fitted = body.posed_vertices(found.pose[None], found.trans[None], found.betas)[0]
-    return _snap(fitted, body, _Target(vertices, faces)), found.residual_mm
+    fit = fit_body(vertices, faces, body, name=name)
+    fitted = body.posed_vertices(fit.pose[None], fit.trans[None], fit.betas)[0]
+    return _snap(fitted, body, _Target(vertices, faces)), fit.residual_mm
 
 
 def fit_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, name: str = "avatar") -> BodyRegistration:
-    """Shape, pose and place of the standard body that lie nearest to a surface; refuses as ``register_body`` does."""
+    """Returns the shape, the pose and the translation with which ``body`` lies nearest to the surface ``vertices`` [m],
+    ``faces``. Raises ``BodyError`` as ``register_body`` does."""
     used = np.unique(faces)
     if len(used) < 500:
         raise BodyError(
@@ -93,9 +97,9 @@ def fit_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, name: 
     target = _Target(vertices, faces)
     best, residual = np.zeros(0), np.inf
     for lift in ARM_LIFTS_RAD:
-        found, distance = _fit(body, target, lift)
+        parameters, distance = _fit(body, target, lift)
         if distance < residual:
-            best, residual = found, distance
+            best, residual = parameters, distance
         if residual < GOOD_RESIDUAL_MM:
             break
     if not residual <= RESIDUAL_LIMIT_MM:
@@ -170,9 +174,8 @@ def _start(body: BodyModel, target: _Target, lift_rad: float) -> np.ndarray:
 
 
 def start_parameters(body: BodyModel, lift_rad: float, trans: np.ndarray) -> np.ndarray:
-    """Returns the parameters (P,) (``unpack_parameters``) of the mean shape at ``trans`` [m] (3,), with the
-    arms ``lift_rad`` below the horizontal.
-    """
+    """Returns the parameters (P,), betas, joint rotations and translation as in ``unpack_parameters``, of the mean
+    shape at the translation ``trans`` [m] (3,), in T-pose but with the arms ``lift_rad`` below the horizontal."""
     pose = np.zeros((JOINT_COUNT, 3))
     for side, sign in (("left", -1.0), ("right", 1.0)):
         pose[JOINT_NAMES.index(f"{side}_collar"), 2] = 0.2 * sign * lift_rad
@@ -181,29 +184,31 @@ def start_parameters(body: BodyModel, lift_rad: float, trans: np.ndarray) -> np.
 
 
 def unpack_parameters(body: BodyModel, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Shape (S,), pose (24, 3) [rad] and translation [m] (3,) in ``parameters``: shape, free joints, translation."""
+    """Returns the shape (S,), the pose (24, 3) [rad] and the translation [m] (3,) that ``parameters`` (P,) hold one
+    after the other: S betas, the rotation vectors of the ``FREE_JOINTS``, the translation. Other joints are at rest."""
     pose = np.zeros((JOINT_COUNT, 3))
     pose[FREE_JOINTS] = parameters[body.shape_count : -3].reshape(-1, 3)
     return parameters[: body.shape_count], pose, parameters[-3:]
 
 
 def posed_by(body: BodyModel, parameters: np.ndarray) -> np.ndarray:
-    """Vertices [m] (V, 3) of the body with ``parameters``."""
+    """Returns the vertices [m] (V, 3) of ``body`` with ``parameters`` (``unpack_parameters``), in the world."""
     betas, pose, trans = unpack_parameters(body, parameters)
     return body.posed_vertices(pose[None], trans[None], betas)[0]
 
 
 def posed_normals(body: BodyModel, posed: np.ndarray) -> np.ndarray:
-    """Unit normals (V, 3) of the body's vertices at ``posed`` [m] (V, 3)."""
+    """Returns the unit normals (V, 3) of the vertices of ``body`` when these are at ``posed`` [m] (V, 3)."""
     return meshes.vertex_normals(posed, body.faces, table=body.face_table)
 
 
 def parameter_jacobian(body: BodyModel, parameters: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Derivative (N, 3, P) of the posed vertices ``index``, without pose blend shapes.
+    """Returns the derivatives (N, 3, P) of the posed vertices ``index`` (N,) by ``parameters`` (P,)
+    (``unpack_parameters``), in metres per unit, without pose blend shapes.
 
-    A joint that turns by dR R^T takes what hangs on it along: sum_j w_j (R_j x + t_j - p) over the bones j from there
-    on, p the joint. By shape it is exact in T-pose; elsewhere joints move as if no bone had turned, and fits, whose
-    weights were chosen with that, end in worse bodies with the exact one.
+    A joint that turns by dR R^T moves what hangs on it: sum_j w_j (R_j x + t_j - p) over the bones j from there on, p
+    the joint. By shape it is exact in T-pose. In other poses it takes joints to move as if no bone had turned: the
+    weights of fits were chosen with that, and with the exact one they end in worse bodies.
     """
     betas, pose, trans = unpack_parameters(body, parameters)
     rest, weights = body.rest_vertices(betas)[index], body.weights[index]

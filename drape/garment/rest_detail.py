@@ -40,12 +40,13 @@ PANEL_RADIUS_M, DISTORTION_LIMIT = 0.10, 1.2
 
 @dataclass(frozen=True, eq=False)
 class RestCloth:
-    """The cloth that a rest state is found for.
+    """The cloth that a rest state is found for, with G triangles.
 
-    ``vertices`` [m] (N, 3) at rest and ``faces`` (G, 3); ``modelled`` [m] (N, 3): the same cloth as it was delivered,
-    which says what is a crease; ``on_corners``: its uv, if it has some; ``doubled`` (G,) bool: triangles of a material
-    that is sewn double. ``uv_unit_m``: metres of cloth per unit of uv, where they are panels. ``resized``: the cloth
-    was moved to another body, and is no longer as large as its panels. ``sewn``: what its maker says of its hinges.
+    ``vertices`` [m] (N, 3) at rest and ``faces`` (G, 3). ``modelled`` [m] (N, 3): the same cloth as it was delivered,
+    which shows the creases. ``on_corners``: its texture coordinates, or None. ``doubled`` (G,) bool: triangles of a
+    material that is sewn double. ``uv_unit_m``: metres of cloth per unit of uv, where uv are panels. ``resized``: the
+    cloth was moved to another body, and is no longer as large as its panels. ``sewn``: angles and stiffening as its
+    maker states them.
     """
 
     vertices: np.ndarray
@@ -60,7 +61,9 @@ class RestCloth:
 
 @dataclass(frozen=True)
 class RestFigures:
-    """The origin of a rest state: shares of hinges and of area in [0, 1], and the sources of grain and lengths."""
+    """Where a rest state comes from: ``kept_share`` in [0, 1], the share of hinges that keep an angle; ``hem_share``,
+    that of hinges that are stiffened; ``grain``, "uv" or "vertical"; ``grain_share``, the share of the area whose uv
+    are a flattening; ``lengths``, "mesh" or "panels"."""
 
     kept_share: float
     hem_share: float
@@ -70,9 +73,9 @@ class RestFigures:
 
 
 def doubled_faces(material_names: Sequence[str], face_material: np.ndarray, face_count: int) -> np.ndarray:
-    """Returns which of the ``face_count`` triangles that subdivision made are of a doubled material, bool
-    (face_count,): one called a hem, cuff, collar or the like.
-    """
+    """Returns which of ``face_count`` subdivided triangles are of a material that is sewn double, bool
+    (``face_count``,): one called a hem, cuff, collar or the like. ``face_material`` (F,) is the number of each
+    delivered face's material."""
     named = np.array([bool(DOUBLED.search(name)) for name in material_names] or [False])
     delivered = named[face_material] if len(named) > face_material.max(initial=0) else face_material < 0
     rounds = face_count // max(len(delivered), 1)
@@ -80,21 +83,22 @@ def doubled_faces(material_names: Sequence[str], face_material: np.ndarray, face
 
 
 def subdivided_like(vertices: np.ndarray, faces: np.ndarray, face_count: int) -> np.ndarray:
-    """Returns the vertices [m] (N, 3) of a mesh, ``vertices`` (V, 3) and ``faces`` (F, 3), after its smooth subdivision
-    into ``face_count`` triangles; the old ones come first.
-    """
+    """Returns the vertices [m] (N, 3) of the mesh ``vertices`` (V, 3), ``faces`` (F, 3) after smooth subdivision into
+    ``face_count`` triangles. The first V are ``vertices``."""
     while len(faces) < face_count:
         vertices, faces, _ = subdivide_smooth(vertices, faces)
     return vertices
 
 
 def rest_of(cloth: RestCloth, rest: Rest = "auto") -> tuple[RestState, RestFigures]:
-    """The rest state of ``cloth``, and its origin.
+    """Returns the rest state of ``cloth``, and where it comes from.
 
-    ``modelled``: lengths and angles of the mesh. ``flat``: its lengths and no angle; raises ``MeshError`` for cloth
-    that does not lie flat. ``auto``: its lengths, and angles as delivered, but only at creases and at seams of panels.
-    Where uv are panels of a known size, ``flat`` and ``auto`` take their lengths, unless the cloth is resized. Cloth
-    that is ``sewn`` has the angles and hems that its maker says: folds of its drape are no creases.
+    ``rest`` "modelled": lengths and angles of the mesh at rest. "flat": its lengths and no angle. "auto": its lengths,
+    and angles as delivered, but only at creases and at seams of panels. Where uv are panels of a known size, "flat" and
+    "auto" take their lengths, unless the cloth is resized. Cloth that is ``sewn`` has the angles and hems that its
+    maker states: folds of its drape are no creases.
+
+    Raises ``MeshError`` for "flat" and cloth that does not lie flat, and ``InputError`` as ``read_grain`` does.
     """
     grain = read_grain(cloth.vertices, cloth.modelled, cloth.faces, cloth.on_corners, cloth.uv_unit_m)
     state = rest_state.modelled(cloth.vertices, cloth.faces, grain.warp)
@@ -126,10 +130,11 @@ def rest_of(cloth: RestCloth, rest: Rest = "auto") -> tuple[RestState, RestFigur
 
 
 def creases(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Dihedral angles [rad] (H,) of the surface, and which hinges (H,) bool are creases.
+    """Returns the dihedral angles [rad] (H,) of the hinges of a surface, in the order of ``meshes.hinges``, and which
+    of these are creases, bool (H,).
 
     A hinge is sharp if it turns by ``CREASE_RAD``, and by as much from the surface smoothed over ``SMOOTHING_M``, or if
-    it is folded over; it is a crease if the sharp hinges that it is connected with span ``LINE_M``.
+    it is folded over. It is a crease if the sharp hinges that it is connected with span ``LINE_M``.
     """
     angle = rest_state.dihedral_angles(vertices, faces)
     smooth = rest_state.dihedral_angles(smoother(vertices, faces, SMOOTHING_M)(vertices), faces)
@@ -150,7 +155,8 @@ def creases(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def distortion(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Ratio of largest to smallest area where panels of ``PANEL_RADIUS_M`` are laid flat, median over the cloth.
+    """Returns the ratio, at least 1, of the largest to the smallest area scale where panels of the radius
+    ``PANEL_RADIUS_M`` are laid flat, the median over the cloth ``vertices`` [m] (N, 3), ``faces``.
 
     A disc of total curvature W on a sphere, mapped with least distortion (stereographically), has (1 - W / 4 pi)^-2
     from rim to centre. W is the angle defect, spread over the surface.
@@ -205,9 +211,11 @@ def cloth_of(
     on_corners: tuple[np.ndarray, np.ndarray],
     materials: tuple[Sequence[str], np.ndarray],
 ) -> RestCloth:
-    """The cloth of a garment at rest, of which no more is known than its rest mesh, so that lengths are that mesh's.
+    """Returns the cloth of a garment of which only the mesh at rest is known, so that lengths are that mesh's:
+    ``vertices`` [m] (N, 3) and ``fine_faces`` (G, 3).
 
-    ``on_corners``: its uv (T, 2) and uv_faces (F, 3); ``materials``: names, and the number (F,) of each delivered face.
+    ``on_corners``: its uv (T, 2) and uv_faces (F, 3). ``materials``: their names, and the number (F,) of each delivered
+    face's.
     """
     faces, points = np.asarray(fine_faces, dtype=np.int64), np.asarray(vertices, dtype=np.float64)
     doubled = doubled_faces(*materials, len(faces))

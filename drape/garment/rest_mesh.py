@@ -37,14 +37,18 @@ _VERTEX_ARRAYS = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_
 
 @dataclass(frozen=True, eq=False)
 class RestMesh:
-    """A garment at rest, clear of the body.
+    """A garment's mesh at rest on the standard body, clear of it; V delivered vertices.
 
-    ``mesh``: the checked mesh without unused vertices. ``kept`` (V,): the row in it of every delivered vertex.
-    ``faces``: the delivered faces. ``vertices`` [m] (N, 3): those of ``mesh`` at rest, then those that subdivision
-    added; ``fine_faces`` its triangles. ``loose`` (N,) in [0, 1]: how much each vertex hangs as a skirt does.
-    ``resized``: the garment was moved from another body. ``figures``: what the intake prints. ``drawn``: the delivered
-    mesh, hung on ``mesh``, where that is another. ``carriers``: the bones that carry it, where it is no cloth. Of a
-    mantle the ``arm``'s shares (N,), where its cloth ``lay`` [m] (N, 3) without strain, and its ``shapes`` (K, N, 3).
+    ``mesh``: the cloth without unused vertices, in metres on the avatar. ``kept`` (V,): the row in ``mesh`` of every
+    delivered vertex. ``faces``: the delivered faces. ``vertices`` [m] (N, 3): the vertices of ``mesh`` at rest, then
+    those that subdivision added. ``fine_faces`` (G, 3): the subdivided triangles. ``loose`` (N,) in [0, 1]: how much
+    each vertex hangs as a skirt does. ``resized``: the garment was moved from another body. ``figures``: what the log
+    of intake prints.
+
+    ``drawn``: the delivered mesh, bound to the cloth, where the cloth is another mesh; else None. ``carriers``: the
+    names of the bones that carry the garment rigidly, none for cloth. Only of a mantle: ``arm`` (N,), the shares of the
+    arms in [0, 1]; ``lay`` [m] (N, 3), where its cloth is without strain; ``shapes`` [m] (K, N, 3), over arms along
+    ``mantle_shapes.DIRECTIONS``.
     """
 
     mesh: GarmentMesh
@@ -73,11 +77,12 @@ def rest_mesh(
     outer: np.ndarray | None = None,
     carriers: tuple[str, ...] | None = None,
 ) -> RestMesh:
-    """The cloth in the delivered ``mesh``, moved from ``avatar`` to ``body`` in T-pose and pushed clear of it.
+    """Returns the cloth in the delivered ``mesh``, moved from ``avatar`` to ``body`` in T-pose, subdivided and pushed
+    clear of the body.
 
-    ``sheets``: ``join_sheets`` of it, checked and on the avatar in metres; made here if left out. Of a mesh that
-    is ``sewn`` every face is cloth. The ``outer`` (F,) sides of the sheets, as ``outer_sides``, and their ``carriers``,
-    as ``carriers_of``, are asked for if left out. Raises ``MeshError`` where the mesh cannot be draped.
+    ``sheets``: ``join_sheets`` of the mesh, checked and in metres on the avatar. ``outer`` (F,) bool: the
+    ``outer_sides`` of the sheets. ``carriers``: what ``bones_that_carry`` returns for them. These three are computed if
+    left out. Of a mesh that is ``sewn`` every face is cloth. Raises ``MeshError`` where the mesh cannot be draped.
     """
     if sheets is None:
         sheets = place_on_avatar(check_surface(join_sheets(mesh)), avatar, unit=options.unit, up=options.up)
@@ -169,7 +174,8 @@ def _of_mantle(moved: MovedGarment, faces: np.ndarray, face_count: int) -> dict[
 
 
 def edge_strain(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> dict[str, float]:
-    """The mean and the 95th percentile of |length after / length before - 1| over the edges [%]."""
+    """Returns |length after / length before - 1| [%] of the edges of ``faces``: its mean as "strain_mean_pct", its 95th
+    percentile as "strain_p95_pct"."""
     edges = meshes.unique_edges(faces)
     strain = 100.0 * np.abs(
         meshes.edge_lengths(after, edges) / np.maximum(meshes.edge_lengths(before, edges), 1e-9) - 1.0
@@ -178,9 +184,8 @@ def edge_strain(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> dic
 
 
 def without_unused(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
-    """Returns ``mesh`` without the vertices that no face uses, and for each old vertex (V,) a row of the new mesh: its
-    own, or that of the nearest vertex.
-    """
+    """Returns ``mesh`` without the vertices that no face uses, and for each old vertex its row (V,) in the new mesh;
+    for one that was left out, the row of the nearest vertex."""
     used = np.unique(mesh.faces)
     if len(used) == len(mesh.vertices):
         return mesh, np.arange(len(used))
@@ -190,9 +195,11 @@ def without_unused(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
 
 
 def with_unused(garment: Garment, faces: np.ndarray, kept: np.ndarray) -> Garment:
-    """Returns ``garment``, made without unused vertices, with these back in their places.
+    """Returns ``garment``, which was made without unused vertices, with these back in their rows; they lie on the
+    nearest vertices.
 
-    ``faces`` (F, 3): the delivered triangles; ``kept`` as ``without_unused`` returns it.
+    ``faces`` (F, 3): the delivered triangles. ``kept`` (V,): the row of each delivered vertex in ``garment``, as
+    ``without_unused`` returns it.
     """
     compact = garment.vertex_count
     if len(kept) == compact and (kept == np.arange(compact)).all():
@@ -208,7 +215,7 @@ def with_unused(garment: Garment, faces: np.ndarray, kept: np.ndarray) -> Garmen
 
 
 def describe_rest(rest: RestMesh) -> list[str]:
-    """Lines for the log: what was done to the mesh, and how far it was stretched and pushed."""
+    """Returns lines for the log of intake: the notes of the mesh, and how far it was stretched and pushed."""
     figures = rest.figures
     lines = [f"note      {note}" for note in rest.mesh.notes]
     for step, what in (("move", "moved"), ("push", "cleared"), ("total", "in all")):

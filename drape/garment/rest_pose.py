@@ -48,10 +48,11 @@ DENSE = 0.6  # of the edge that is asked for: cloth so fine may have fewer verti
 
 @dataclass(frozen=True, eq=False)
 class MovedGarment:
-    """Garment vertices [m] (V, 3) on the standard body in T-pose, and how ``loose`` each is, (V,) in [0, 1].
+    """A garment's ``vertices`` [m] (V, 3) on the standard body in T-pose, and ``loose`` (V,) in [0, 1], how much each
+    hangs as a skirt does.
 
-    Of a mantle the ``arm``'s shares (V,), where it ``lay`` [m] (V, 3) on the standard body in its wearer's pose, and
-    its ``shapes`` [m] (K, V, 3) over arms along ``mantle_shapes.DIRECTIONS``.
+    Only of a mantle: ``arm`` (V,), the shares of the arms in [0, 1]; ``lay`` [m] (V, 3), the mantle on the standard
+    body in its wearer's pose; ``shapes`` [m] (K, V, 3), it over arms along ``mantle_shapes.DIRECTIONS``.
     """
 
     vertices: np.ndarray
@@ -62,9 +63,10 @@ class MovedGarment:
 
 
 def bone_motions(source: np.ndarray, target: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (J, 3, 3) and translations (J, 3) that bring each bone's skin from ``source`` to ``target`` (V, 3).
+    """Returns for each bone the rotation (J, 3, 3) and the translation [m] (J, 3), x' = R x + t, that bring its skin
+    best from ``source`` to ``target`` [m] (V, 3). ``weights`` (V, J): the skin's bone weights.
 
-    Weighted least squares; a bone without skin takes the motion of the whole body.
+    It is weighted least squares; a bone without skin takes the motion of the whole body.
     """
     share = weights**2  # the blended rim of a bone says less about it than its middle
     share = np.where(share.sum(axis=0) > 1e-9, share, 1.0)
@@ -76,10 +78,8 @@ def bone_motions(source: np.ndarray, target: np.ndarray, weights: np.ndarray) ->
 
 
 def to_standard(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: BodyModel) -> MovedGarment:
-    """The garment (V, 3), (F, 3) modelled on ``avatar``, moved to the standard body in T-pose.
-
-    A garment modelled on the standard body itself comes back unchanged.
-    """
+    """Returns the garment with ``vertices`` [m] (V, 3) and ``faces`` (F, 3), which lies on ``avatar``, moved to the
+    standard ``body`` in T-pose. On an avatar that is the standard body the vertices stay."""
     skirt = skirt_blend(vertices, faces, avatar, body)
     if not avatar.moved:
         return MovedGarment(vertices.copy(), skirt)
@@ -108,10 +108,9 @@ def moved_with_skin(
     body: BodyModel,
     skin: np.ndarray,
 ) -> np.ndarray:
-    """The garment (V, 3), (F, 3), moved as the skin near it goes from ``avatar`` to ``skin`` [m] (body V, 3).
-
-    ``averaging`` (V, body V) tells that skin.
-    """
+    """Returns the vertices [m] (V, 3) of a garment on ``avatar``, moved as the skin near them goes to ``skin`` [m] (B,
+    3), another pose and shape of the avatar's B vertices. ``averaging`` (V, B): the weights of that skin, rows summing
+    to one."""
     weights = body.weights
     rotations, translations = bone_motions(avatar.vertices, skin, weights)
     skinned = np.einsum("vj,jab,vb->va", weights, rotations, avatar.vertices, optimize=True) + weights @ translations
@@ -125,8 +124,8 @@ def moved_with_skin(
 def own_skin_weights(
     vertices: np.ndarray, sleeve: np.ndarray, avatar: Avatar, body: BodyModel
 ) -> scipy.sparse.csr_matrix:
-    """Returns the ``surface_weights`` (V, body V) of a garment: those of sleeves (``sleeve_of``) are taken from the
-    skin of their arm, those of other cloth from all skin but arms.
+    """Returns the sparse ``surface_weights`` (V, B) of a garment's vertices over the B vertices of ``avatar``: for
+    sleeves on the skin of their arm, for other cloth on all skin but arms. ``sleeve`` (V,): what ``sleeve_of`` returns.
 
     A hand that hangs beside a skirt is nearer to it than the thigh is, and would take it along.
     """
@@ -139,10 +138,10 @@ def own_skin_weights(
 
 
 def surface_weights(points: np.ndarray, avatar: Avatar, counts: np.ndarray | None = None) -> scipy.sparse.csr_matrix:
-    """Returns weights (V, body V), rows summing to one, by which the body near each point is averaged: a Gaussian round
-    the point, over skin that faces its way.
+    """Returns sparse weights (N, B), rows summing to one, that average values of the B vertices of ``avatar`` near each
+    of ``points`` [m] (N, 3): a Gaussian round the point, over skin whose normal agrees with that of the nearest skin.
 
-    ``counts`` (body V,) bool: the skin that counts, all by default.
+    ``counts`` (B,) bool: the skin that may have weight, all by default.
     """
     counts = np.ones(len(avatar.vertices), dtype=bool) if counts is None else counts
     skin, faces = np.flatnonzero(counts), avatar.faces[counts[avatar.faces].all(axis=1)]
@@ -169,9 +168,8 @@ def surface_weights(points: np.ndarray, avatar: Avatar, counts: np.ndarray | Non
 
 
 def smoother(vertices: np.ndarray, faces: np.ndarray, length_m: float):
-    """Returns a function that smooths fields (V, C) along the mesh over ``length_m``: (I + length^2 L)^-1, constants
-    kept.
-    """
+    """Returns a function that smooths values (V, C) at the vertices along the mesh over ``length_m``, in which
+    constants stay: it multiplies by (I + length^2 L)^-1."""
     return symmetric_factor(scipy.sparse.identity(len(vertices)) + _laplacian(vertices, faces, length_m)).solve
 
 
@@ -183,7 +181,8 @@ def _laplacian(vertices: np.ndarray, faces: np.ndarray, length_m: float) -> scip
 
 
 def skirt_blend(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: BodyModel) -> np.ndarray:
-    """The share (V,) to which each vertex belongs to a skirt: 0 above the hip joints, 1 below the crotch.
+    """Returns the share (V,) in [0, 1] to which each vertex belongs to a skirt on ``avatar``: smoothly from 0 above the
+    hip joints to 1 below the crotch, and 0 for other cloth.
 
     A skirt is a connected piece of cloth below the crotch that lies round both legs; trousers fall into two pieces
     there.
@@ -244,10 +243,11 @@ def _shape_only(vertices: np.ndarray, avatar: Avatar, body: BodyModel) -> np.nda
 
 
 def subdivide_smooth(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One round of subdivision, old vertices in place, new ones lifted from their edge by the normals at its ends.
+    """Returns vertices [m] (N, 3), faces (4F, 3) and the two parents (N, 2) of each vertex after one round of
+    subdivision, in the order of ``meshes.subdivide``. Old vertices stay in place.
 
-    Returns vertices (N, 3), faces (4F, 3) and parents (N, 2). The new vertex is the middle of
-    the cubic edge of a PN triangle (Vlachos et al. 2001), which turns facets into a round surface.
+    A new vertex is the middle of the cubic edge of a PN triangle (Vlachos et al. 2001), which turns facets into a round
+    surface.
     """
     flat, fine, parents = meshes.subdivide(vertices, faces)
     normals = meshes.vertex_normals(vertices, faces)
@@ -267,10 +267,11 @@ def subdivide_smooth(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarra
 def refine(
     vertices: np.ndarray, faces: np.ndarray, *, at_least: int, at_most: int, edge_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Subdivides until the mean edge is at most ``edge_m`` [m] and there are ``at_least`` vertices, but not past
-    ``at_most``. Half as many suffice where the mean edge is at most ``DENSE`` times ``edge_m``.
+    """Returns vertices [m] (N, 3), faces (G, 3) and for each vertex a delivered one (N,) from which it descends, after
+    rounds of ``subdivide_smooth``.
 
-    Returns vertices (N, 3), faces (G, 3) and the delivered vertex that each one is nearest to by descent, (N,).
+    It goes on until the mean edge is at most ``edge_m`` and there are ``at_least`` vertices, but not past ``at_most``.
+    Half of ``at_least`` suffice where the mean edge is at most ``DENSE`` times ``edge_m``.
     """
     origin = np.arange(len(vertices))
     while True:

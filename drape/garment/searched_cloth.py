@@ -28,7 +28,9 @@ LOOP_PIECE = 0.1  # of the area: a smaller piece is a strap, a lace or a tape, a
 
 
 class SearchedCloth:
-    """A garment's points on two densities, their normals, its area and extent, in the file's unit."""
+    """The cloth of a garment whose wearer is looked for, in the unit and axes of its file: points on it in two
+    densities, their normals and pieces, its ``area``, its ``extent`` (the longest side of its box), and its long
+    borders."""
 
     def __init__(self, mesh: GarmentMesh) -> None:
         self.mesh = mesh
@@ -48,37 +50,41 @@ class SearchedCloth:
         self.loops = np.array(picked[:LOOP_COUNT]).reshape(-1, LOOP_POINTS, 3)
 
     def may_be(self, scale: float) -> bool:
-        """Returns whether the cloth is as large as a garment, if the file's unit is ``scale`` [m]."""
+        """Returns whether the cloth has the size of a garment if a unit of the file is ``scale`` [m]."""
         return EXTENT_M[0] <= self.extent * scale <= EXTENT_M[1] and self.area * scale**2 >= AREA_MINIMUM
 
     def contours(self, reading: Reading) -> list[Contour]:
-        """Openings that look like a tube's ends, in metres."""
+        """Returns the borders that look like the end of a tube and are no holes, in metres, y up, facing +z as
+        ``reading`` turns the file; the most sideways first."""
         ends = tube_ends(replace(self.mesh, vertices=reading.apply(self.mesh.vertices)))
         return [one for one in ends if one.length_m > CUFF_M]
 
     def pierced(self, reading: Reading, joints: np.ndarray) -> tuple[str, ...]:
-        """Parts of a body with ``joints`` [m] (24, 3) whose bones go through the cloth."""
+        """Returns the names of the body's parts whose bones go through the cloth, as in ``pierced_parts``. ``joints``
+        [m] (24, 3) are in the frame that ``reading`` gives."""
         return pierced_parts(self.mesh.vertices, self.mesh.faces, joints @ reading.turn / reading.scale)
 
     def empty(self, reading: Reading, joints: np.ndarray) -> int:
-        """The number of long openings that no bone goes through."""
+        """Returns the number of long borders that no bone goes through. ``joints`` [m] (24, 3) are in the frame that
+        ``reading`` gives."""
         return unthreaded(reading.apply(self.loops.reshape(-1, 3)).reshape(self.loops.shape), joints)
 
     def covers(self, reading: Reading, bones: Bones, *, move: np.ndarray | float = 0.0) -> bool:
-        """Returns whether the cloth, read by ``reading`` and moved by ``move`` [m] (3,), covers the arms of the body
-        with ``bones`` and has no sleeves."""
+        """Returns whether the cloth, in the frame that ``reading`` gives and moved by ``move`` [m] (3,), covers the
+        arms of the body with ``bones`` and has no sleeves, as a cape does."""
         return covers_arms(reading.apply(self.many) + move, bones)
 
     @cached_property
     def lopsided(self) -> np.ndarray:
-        """How far (3,) the cloth is from its mirror image along each axis of the file, over its extent."""
+        """Returns for each axis of the file how far (3,) the cloth is from its mirror image along it: the mean distance
+        over the extent, without unit."""
         tree, middle = KDTree(self.many), 0.5 * (self.points.min(axis=0) + self.points.max(axis=0))
         mirrored = [self.points + 2.0 * (middle - self.points) * axis for axis in np.eye(3)]
         return np.array([tree.query(one)[0].mean() for one in mirrored]) / self.extent
 
     def oddness(self, reading: Reading) -> float:
-        """Returns the cost of ``reading``: of cloth that is small then, and of cloth that differs between left and
-        right."""
+        """Returns the cost of ``reading``, at least 0 and without unit. It grows the smaller the cloth is in that
+        reading, and the more the cloth differs from its mirror image across left and right than across other axes."""
         small = SMALL * max(0.0, float(np.log(SMALL_M2 / (self.area * reading.scale**2))))
         across = float(np.abs(reading.turn[0]) @ self.lopsided)
         return small + LOPSIDED * (across - float(self.lopsided.min()))

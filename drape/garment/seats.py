@@ -26,13 +26,15 @@ SHOE_STEPS_M, SHOE_MOST_M, SHOE_FAR_M, SHOE_WAY_M = (0.04, 0.02, 0.01, 0.005), 0
 
 
 def is_as_large(points: np.ndarray, limits: Sequence[tuple[float, float]]) -> bool:
-    """Whether the extents of ``points`` [m] (N, 3) lie in the ``limits`` [m], the least and the most of each axis."""
+    """Returns whether the extents of ``points`` [m] (N, 3) along x, y and z lie in ``limits`` [m], a least and a most
+    for each."""
     extents = zip(np.ptp(points, axis=0), limits, strict=True)
     return all(least <= extent <= most for extent, (least, most) in extents)
 
 
 def are_glasses(points: np.ndarray) -> bool:
-    """Whether ``points`` [m] (N, 3), facing +z, are as large as glasses, with nothing between the temples."""
+    """Returns whether ``points`` [m] (N, 3), y up and facing +z, have the size of glasses, with nothing between the
+    temples."""
     if not is_as_large(points, GLASSES_M):
         return False
     extent = np.ptp(points, axis=0)
@@ -42,14 +44,14 @@ def are_glasses(points: np.ndarray) -> bool:
 
 
 class Seat:
-    """The ``skin`` [m] (V, 3) of ``body`` upright, facing +z, on which things are seated."""
+    """The ``skin`` [m] (V, 3) of ``body``, upright and facing +z, on which hats, glasses and shoes are seated."""
 
     def __init__(self, skin: np.ndarray, body: BodyModel) -> None:
         self.skin, self.body = skin, body
         self._closed = ClosedMesh(skin, body.faces)
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Signed distances [m] (N,) of ``points`` (N, 3) from the skin, negative in it."""
+        """Returns the distances [m] (N,) of ``points`` [m] (N, 3) from the skin, negative inside the body."""
         return self._closed.signed_closest(points)[0]
 
     @cached_property
@@ -61,9 +63,9 @@ class Seat:
         return self._head[self._head[:, 2].argmax()]
 
     def way(self, points: np.ndarray, bone: str) -> np.ndarray:
-        """Returns the displacement [m] (3,) that brings a thing with ``points`` [m] (N, 3), which ``bone`` carries, to
-        its seat; zeros if no seat is known for it.
-        """
+        """Returns the displacement [m] (3,) that brings a thing with ``points`` [m] (N, 3) to its seat on the bone
+        called ``bone``: a shoe round the foot, glasses onto the nose, a hat onto the forehead. It is zero for other
+        things."""
         points = points[:: max(1, len(points) // SEAT_COUNT)]
         if bone.endswith("ankle"):
             return self._round_foot(points)

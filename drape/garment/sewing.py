@@ -30,7 +30,7 @@ DOUBLED_KINDS = ("hem", "opening")  # turned up, or bound: two layers that slide
 class Seam:
     """A seam between two ``panels``, folded by ``angle_rad`` at rest, negative where it folds to the outside.
 
-    ``vertices``: rows of v along it, ``uv``: rows of vt on either side.
+    ``vertices``: rows of the OBJ's v along it, from 0, in order; ``uv``: for either side the rows of vt.
     """
 
     name: str
@@ -42,7 +42,8 @@ class Seam:
 
 @dataclass(frozen=True)
 class FreeEdge:
-    """An edge of ``panel`` that is not sewn to another; ``kind``: "hem", "opening" or "free"."""
+    """An edge of ``panel`` that is not sewn to another; ``kind``: "hem" (turned up), "opening" (bound) or "free".
+    ``vertices`` and ``uv``: rows of the OBJ's v and vt along it, from 0, in order."""
 
     name: str
     kind: str
@@ -53,10 +54,11 @@ class FreeEdge:
 
 @dataclass(frozen=True)
 class Sewing:
-    """The contents of ``NAME.json``; ``uv_unit_m``: metres of cloth per unit of uv.
+    """How a garment is sewn: the contents of ``NAME.json`` beside its OBJ file ``mesh``. ``uv_unit_m``: metres of cloth
+    per unit of uv.
 
     Cloth nearer than ``hem_width_m`` to an edge that is turned up or bound bends ``hem_bending`` times as hard.
-    ``size``, ``body``, ``ease_m`` and ``figures`` tell how it was made.
+    ``size``, ``body``, ``ease_m`` and ``figures`` tell how the garment was made.
     """
 
     name: str
@@ -74,11 +76,11 @@ class Sewing:
     figures: Mapping[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
-        """The record of the file."""
+        """Returns the fields as a dictionary for JSON, with the format's name and version."""
         return {"format": FORMAT, "version": FORMAT_VERSION, **asdict(self)}
 
     def check(self, mesh: GarmentMesh) -> None:
-        """Raises ``InputError`` where a row of v or vt is not in ``mesh``."""
+        """Raises ``InputError`` where a row of v or vt of a seam or an edge is not in ``mesh``."""
         for what, rows, count in (
             ("vertices", [line.vertices for line in (*self.seams, *self.edges)], len(mesh.vertices)),
             ("uv", [side for seam in self.seams for side in seam.uv], len(mesh.uv)),
@@ -95,11 +97,10 @@ class Sewing:
 
 
 def sewing_beside(path: Path) -> Sewing | None:
-    """The sewing in the JSON beside the mesh at ``path``.
+    """Returns the sewing in the JSON file of the same name beside the mesh at ``path``.
 
     None where there is no JSON of this format, or where it names a mesh of another file format, whose rows are others.
-
-    Raises ``InputError`` for one of another version, or that does not hold together.
+    Raises ``InputError`` for one of another version, or with missing or unknown fields.
     """
     file = path.with_suffix(".json")
     if not file.is_file():
@@ -122,7 +123,8 @@ def sewing_beside(path: Path) -> Sewing | None:
 
 
 def read_sewing(record: Mapping[str, Any]) -> Sewing:
-    """The sewing of a record as ``Sewing.to_json`` makes it; raises ``InputError`` where it is none."""
+    """Returns the sewing in ``record``, a dictionary as ``Sewing.to_json`` makes it, without format and version; raises
+    ``InputError`` where fields are missing or unknown."""
     try:
         seams, edges = ([Seam(**one) for one in record["seams"]], [FreeEdge(**one) for one in record["edges"]])
         return Sewing(**{**record, "seams": seams, "edges": edges})
@@ -140,7 +142,8 @@ def read_sewing(record: Mapping[str, Any]) -> Sewing:
 
 @dataclass(frozen=True, eq=False)
 class SewnHinges:
-    """The ``angle`` at rest [rad] (H,) of every hinge, and the ``stiffening`` (H,) of its fabric."""
+    """Of H hinges, in the order of ``meshes.hinges``: the dihedral ``angle`` at rest [rad] (H,), and the ``stiffening``
+    (H,), the factor of the fabric's bending."""
 
     angle: np.ndarray
     stiffening: np.ndarray
@@ -149,11 +152,13 @@ class SewnHinges:
 def sewn_hinges(
     sewing: Sewing, mesh: GarmentMesh, kept: np.ndarray, faces: np.ndarray, on_corners: CornerUv
 ) -> SewnHinges:
-    """Angles and stiffening of the hinges of ``faces`` (G, 3), which are a subdivision of the faces of ``mesh``.
+    """Returns the angles and the stiffening of the hinges of ``faces`` (G, 3), a subdivision of the faces of ``mesh``,
+    as ``sewing`` says them.
 
     ``kept`` (V,): the row in ``mesh`` of every delivered vertex. ``faces`` count the delivered vertices, then those
-    that subdivision added. ``on_corners``: the uv of ``faces``. A hinge is folded where both ends lie on a folded seam.
-    It is of double cloth where both ends are near an edge that is turned up or bound, on all panels that meet there.
+    that subdivision added. ``on_corners``: the texture coordinates of ``faces``. A hinge has a seam's angle where both
+    ends lie on the seam, else 0. It is stiffened where both ends are near an edge that is turned up or bound, on all
+    panels that meet there, else 1.
     """
     ends = meshes.hinges(faces)[:, :2]
     angle = np.zeros(len(ends))
@@ -186,10 +191,10 @@ def sewn_hinges(
 def near_lines(
     points: np.ndarray, panel: np.ndarray, lines: Sequence[tuple[int, np.ndarray]], within_m: float
 ) -> np.ndarray:
-    """Which ``points`` [m] (N, 2) lie within ``within_m`` of a line on their own panel, bool (N,).
+    """Returns which ``points`` [m] (N, 2) lie within ``within_m`` of a line on their own panel, bool (N,).
 
-    ``panel`` (N,): the panel's number of each point. ``lines``: a panel's number, and the points [m] (M, 2) of a line
-    on it in order.
+    ``panel`` (N,): the number of each point's panel. ``lines``: the number of a panel, and the polyline [m] (M, 2) on
+    it.
     """
     near = np.zeros(len(points), dtype=bool)
     for number, line in lines:
@@ -199,7 +204,7 @@ def near_lines(
 
 
 def line_distance(points: np.ndarray, line: np.ndarray) -> np.ndarray:
-    """Distances [m] (N,) of ``points`` (N, 2) to the polyline ``line`` (M, 2)."""
+    """Returns the distances [m] (N,) of ``points`` (N, 2) to the polyline ``line`` [m] (M, 2)."""
     nearest = np.full(len(points), np.inf)
     for a, b in pairwise(line):
         along = b - a

@@ -31,14 +31,15 @@ SAMPLES = 400
 
 
 def without_copies(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` with vertices that are nearly at one place made one."""
+    """Returns ``mesh`` with vertices closer to each other than ``COPY_SHARE`` of its extent made one, with a note;
+    ``mesh`` itself if there are none."""
     reach = COPY_SHARE * _extent(mesh)
     return _welded(mesh, KDTree(mesh.vertices).query_pairs(reach, output_type="ndarray"))
 
 
 def without_cracks(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` with vertices of borders that run along each other, much nearer than its edges are long, made
-    one.
+    """Returns ``mesh`` with borders that run along each other joined, with a note: their vertices become one where they
+    are much nearer to each other than edges are long. If there are none, ``mesh`` itself is returned.
 
     Panels that were rounded each by itself, as by a compressed file, have cracks between them.
     """
@@ -71,16 +72,17 @@ def _welded(mesh: GarmentMesh, pairs: np.ndarray) -> GarmentMesh:
 
 
 def branch_edges(faces: np.ndarray) -> int:
-    """How many edges have more than two faces."""
+    """Returns the number of edges of ``faces`` (F, 3) that have more than two faces."""
     _, counts = meshes.edges_of_halves(meshes.half_edges(faces))
     return int((counts > 2).sum())
 
 
 def cut_branches(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` without edges of more than two faces and without vertices where sheets merely touch.
+    """Returns ``mesh`` cut apart where an edge has more than two faces and where sheets touch in a single vertex:
+    vertices there are split. ``mesh`` itself if there is no such place and every vertex has a face.
 
-    Vertices are split, and those of no face left out. Faces keep their order; where two pairs of faces cannot be told
-    apart, because they meet again about both ends of their edge, one pair is left out.
+    Vertices without a face are left out. Faces keep their order; where two pairs of faces cannot be told apart, because
+    they meet again at both ends of their edge, one pair is left out.
     """
     branches = branch_edges(mesh.faces)
     cut = _split(mesh, *_joined(mesh.vertices, mesh.faces))
@@ -118,10 +120,10 @@ def _split(mesh: GarmentMesh, halves: np.ndarray, first: np.ndarray, second: np.
 
 
 def agreeing(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
-    """Returns ``mesh`` with faces that agree with their neighbours, and the middles (C, 3) of edges that were cut for
-    it.
+    """Returns ``mesh`` with faces reversed so that neighbours are wound alike, and the middles (C, 3) of edges that
+    were cut open for it, none in most meshes.
 
-    Only one-sided (Moebius) sheets have to be cut, across the strip. Edges have at most two faces.
+    Only one-sided (Moebius) sheets have to be cut, across the strip. Edges must have at most two faces.
     """
     turn, _ = fewest_turned(mesh.faces)
     faces = np.where(turn[:, None], mesh.faces[:, ::-1], mesh.faces)
@@ -169,16 +171,16 @@ def _pair(a: int, b: int) -> tuple[int, int]:
     return (int(min(a, b)), int(max(a, b)))
 
 
-def _means_of_pairs(found: list[tuple[np.ndarray, np.ndarray]]) -> dict[tuple[int, int], float]:
+def _means_of_pairs(bends: list[tuple[np.ndarray, np.ndarray]]) -> dict[tuple[int, int], float]:
     """The mean of the bends between every two patches that meet somewhere."""
     sums: dict[tuple[int, int], list[float]] = {}
-    for own, bend in found:
+    for own, bend in bends:
         for i, a in enumerate(own):
             for j, b in enumerate(own):
                 if i != j:
                     sums.setdefault(_pair(a, b), []).append(float(bend[i, j]))
     means = {pair: float(np.mean(values)) for pair, values in sums.items()}
-    return means | {_pair(a, a): 1.0 for own, _ in found for a in own}
+    return means | {_pair(a, a): 1.0 for own, _ in bends for a in own}
 
 
 def _bends(vertices: np.ndarray, halves: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -203,7 +205,8 @@ def _smoothest(group: np.ndarray, cost: np.ndarray) -> np.ndarray:
 
 
 def pieces_of(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The piece (F,) of every face of a mesh, the largest first, and the pieces' areas (P,)."""
+    """Returns the number (F,) of the connected piece of each face, 0 for the piece of the largest area and so on, and
+    the pieces' areas (P,), in the unit of ``points`` (N, 3) squared."""
     piece = mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
     _, piece = np.unique(piece, return_inverse=True)
     area = np.bincount(piece, meshes.face_areas(points, faces))
@@ -214,10 +217,11 @@ def pieces_of(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def main_sheet(mesh: GarmentMesh) -> tuple[GarmentMesh, list[np.ndarray]]:
-    """The largest sheet of ``mesh``, and the middles of other sheets that may be garment as well.
+    """Returns the largest sheet of ``mesh``, with notes of what is left out, and the middles, each (3,), of other
+    sheets that may be garment as well; none in most meshes.
 
-    Crumbs and second layers (collars, facings, plackets, doubled hems) are left out with a note. A sheet that lies
-    apart and is larger than ``OWN_SHARE`` of the largest is given back; smaller ones are left out and named.
+    Crumbs and second layers (collars, facings, plackets, doubled hems) are left out. A sheet that lies apart is among
+    the middles if its area is more than ``OWN_SHARE`` of the largest's; a smaller one is left out and noted.
     """
     piece, area = pieces_of(mesh.vertices, mesh.faces)
     total = float(area.sum())
@@ -256,14 +260,15 @@ def point_words(point: np.ndarray) -> str:
 
 
 def with_used_vertices(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` without vertices that no face has."""
+    """Returns ``mesh`` without the vertices that no face uses; others keep their order."""
     used, faces = meshes.in_use(mesh.faces)
     return replace(mesh, vertices=mesh.vertices[used], faces=faces)
 
 
 def samples_to(points: np.ndarray, own: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places (S, 3) on the faces ``own``, drawn by area; their distances (S,) to the faces ``others``; and which (S,)
-    are nearest to a border of these, so that they lie beyond it."""
+    """Returns S random places (S, 3) on the faces ``own``, drawn by area; their distances (S,) to the faces ``others``;
+    and bool (S,), True where the nearest point of these is on their border, so that the place lies beyond it. All are
+    in the unit of ``points`` (N, 3), the vertices of both."""
     share = meshes.face_areas(points, own)
     chosen = np.random.default_rng(0).choice(len(own), SAMPLES, p=share / share.sum())
     places = points[own[chosen]].mean(axis=1)

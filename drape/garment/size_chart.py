@@ -23,14 +23,15 @@ _WORDS = {"chest_m": "chest", "waist_m": "waist", "hip_m": "hips"}
 
 
 class Advice(NamedTuple):
-    """The size that a body takes, and why, in words."""
+    """The ``size`` that a body takes, such as "M", and a sentence that says why."""
 
     size: str
     words: str
 
 
 def check_size(size: str, garment: str) -> None:
-    """Raises ``NotFound``, naming the nearest, for a ``size`` in which ``garment`` does not come."""
+    """Raises ``NotFound``, which names the nearest one, if ``size`` is none of ``SIZES``; ``garment`` is named in the
+    message."""
     if size in STEPS:
         return
     upper = size.strip().upper()
@@ -40,7 +41,8 @@ def check_size(size: str, garment: str) -> None:
 
 
 def cut_for(size: str, standard: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    """Least and greatest girth [m] by level of bodies that ``size`` is cut for, where ``standard`` is M's middle."""
+    """Returns for each level of ``standard`` the least and the greatest girth [m] of bodies that ``size`` is cut for.
+    ``standard``: the girths [m] of the standard body, the middle of M."""
     step = STEPS[size]
     return {
         name: (girth + (step - 0.5) * GIRTH_STEP_M, girth + (step + 0.5) * GIRTH_STEP_M)
@@ -49,13 +51,14 @@ def cut_for(size: str, standard: Mapping[str, float]) -> dict[str, tuple[float, 
 
 
 def deciding(measures: Mapping[str, float]) -> tuple[str, ...]:
-    """The levels whose girths decide the size of a garment with ``measures``: the chest, or waist and hips."""
+    """Returns the levels whose girths decide the size of a garment with ``measures``: ("chest_m",) if it goes around
+    the chest, else ("waist_m", "hip_m")."""
     return ("chest_m",) if "chest_m" in measures else ("waist_m", "hip_m")
 
 
 def advice(girths: Mapping[str, float], standard: Mapping[str, float], levels: tuple[str, ...]) -> Advice:
-    """Returns the size for a body of ``girths`` [m], and why. The level in ``levels`` decides that asks for the largest
-    size; ``standard`` are the girths [m] of the middle of M."""
+    """Returns the size for a body with ``girths`` [m] by level, and why. Of ``levels`` the one decides that asks for
+    the largest size. ``standard``: the girths [m] of the standard body, the middle of M."""
     steps = {name: (girths[name] - standard[name]) / GIRTH_STEP_M for name in levels}
     name = max(levels, key=lambda level: steps[level])
     wanted = int(np.ceil(steps[name] - 0.5))

@@ -42,10 +42,11 @@ OTHERS = tuple(size for size in SIZES if size != "M")
 
 @dataclass(frozen=True, eq=False)
 class SizeTable:
-    """The other sizes of the garment with ``digest``, in the order of ``OTHERS``.
+    """The sizes S, L and XL (``OTHERS``) of the garment with ``digest``, as differences from its M.
 
-    ``vertex`` (A,) and ``moved`` [m] (3, A, 3): how far these vertices lie from M's; ``corner`` (B,) and ``grown`` [m]
-    (3, B, 2): the same of rows of the uv, which are panels in metres. ``measures`` [m] by size, M included.
+    ``moved`` [m] (3, A, 3): displacements of the vertices ``vertex`` (A,) on the standard body. ``grown`` [m] (3, B,
+    2): displacements of the rows ``corner`` (B,) of the uv, which are panels in metres. ``measures``: by size, M
+    included, and by level the girths and the length [m].
     """
 
     digest: str
@@ -57,12 +58,13 @@ class SizeTable:
 
 
 def table_path(folder: Path, garment: Garment) -> Path:
-    """Where the table of ``garment`` lies beside the garments in ``folder``."""
+    """Returns the path of the size table of ``garment`` in the ``folder`` of garments; the file need not be there."""
     return folder / FOLDER / garment.file_name()
 
 
 def save_table(table: SizeTable, path: Path) -> None:
-    """Writes ``table`` to ``path``, in steps of half a millimetre of vertices and of 50 micrometres of panels."""
+    """Writes ``table`` to ``path``, atomically. Displacements are rounded to half a millimetre for vertices and to 50
+    micrometres for panels."""
     header = {"format_version": FORMAT_VERSION, "digest": table.digest, "measures": table.measures}
     content = packed(
         {
@@ -79,7 +81,8 @@ def save_table(table: SizeTable, path: Path) -> None:
 
 
 def load_table(path: Path, garment: Garment) -> SizeTable:
-    """The table of ``garment`` at ``path``; raises ``ArtifactError`` where it is damaged or another garment's."""
+    """Returns the size table stored at ``path``; raises ``ArtifactError`` if it is damaged or belongs to another
+    garment."""
     label, cure = f"sizes {path.name}", "Run python -m recovery.catalogue grade."
     try:
         header, arrays = read_packed(path)
@@ -99,7 +102,7 @@ def load_table(path: Path, garment: Garment) -> SizeTable:
 
 
 def sized_digest(garment: Garment, table: SizeTable, size: str) -> str:
-    """The hex digest of ``garment`` in ``size``."""
+    """Returns the hex digest of what ``sized`` makes of ``garment`` in ``size``."""
     numbers = b"".join(
         np.ascontiguousarray(a).tobytes() for a in (table.vertex, table.moved, table.corner, table.grown)
     )
@@ -107,8 +110,8 @@ def sized_digest(garment: Garment, table: SizeTable, size: str) -> str:
 
 
 def sized(garment: Garment, body: BodyModel, table: SizeTable, size: str) -> Garment:
-    """Returns ``garment`` in ``size``, clear of the skin of ``body``, which it was sewn on. It takes seconds, most of
-    them to clear it.
+    """Returns ``garment``, the size M, in ``size``, clear of the skin of ``body``, on which it was sewn; M is
+    ``garment`` itself. It takes seconds, most of them to clear it.
 
     Raises ``MeshError`` where the cloth cannot be brought clear.
     """
@@ -136,10 +139,11 @@ def sized(garment: Garment, body: BodyModel, table: SizeTable, size: str) -> Gar
 
 
 def moved_patches(garment: Garment, vertices: np.ndarray, body: BodyModel) -> dict[str, np.ndarray]:
-    """The patch and chart fields of ``garment`` that change when it stands at ``vertices`` [m] (N, 3) on ``body``.
+    """Returns the fields of the ``Atlas`` of ``garment`` that change when its vertices move to ``vertices`` [m] (N, 3),
+    float32 by name: ``patch_centre``, ``patch_jet``, ``patch_features``, ``chart_uv`` and ``chart_residual``.
 
-    Patches go along with their cloth and keep their frames. Charts that are projections become those of the new places;
-    those that were laid flat (``drape.garment.unfold``) keep their parameters, and in-plane polynomials follow.
+    Patches go along with their cloth and keep their frames. Charts that are projections become those of the new places.
+    Charts that were laid flat (``drape.garment.unfold``) keep their (u, v), and their in-plane polynomials follow.
     """
     patch, weight = garment.chart_patch, garment.chart_weight.astype(np.float64)
     rotation, scale = garment.patch_rotation.astype(np.float64), garment.patch_scale.astype(np.float64)
@@ -168,12 +172,14 @@ def moved_patches(garment: Garment, vertices: np.ndarray, body: BodyModel) -> di
 
 
 def field_in_space(points: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """The field (N, C) over ``points`` [m] (N, 3) that has ``values`` (A, C) at ``rows``, a spline of |x|."""
+    """Returns the values (N, C) at ``points`` [m] (N, 3) of the spline of |x| that has ``values`` (A, C) at
+    ``points[rows]``."""
     return _spline(points[rows], values, "linear")(points)
 
 
 def field_in_panels(uv: np.ndarray, uv_faces: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """The field (T, C) over ``uv`` [m] (T, 2) that has ``values`` (B, C) at ``rows``, a thin plate in each panel."""
+    """Returns the values (T, C) at ``uv`` [m] (T, 2) of a thin-plate spline in each panel that has ``values`` (B, C) at
+    ``uv[rows]``; zeros in a panel that has none of these rows."""
     panel = panels_of(uv, uv_faces)
     field = np.zeros((len(uv), values.shape[1]))
     for number in range(panel.max() + 1):
@@ -191,14 +197,13 @@ def _spline(at: np.ndarray, values: np.ndarray, kernel: str) -> Callable[[np.nda
 
 
 def panels_of(uv: np.ndarray, uv_faces: np.ndarray) -> np.ndarray:
-    """The number (T,) of the panel that each row of ``uv`` lies in."""
+    """Returns for each row of ``uv`` (T, 2) the number (T,) of the connected panel that it belongs to, from 0."""
     return mesh_graphs.connected_components(uv_faces.astype(np.int64), len(uv))
 
 
 def regraded(edges: np.ndarray, uv: np.ndarray, graded: np.ndarray, uv_faces: np.ndarray) -> np.ndarray:
-    """Returns the unstressed edges [m] (F, 2, 2) of triangles, ``edges`` before, after their panels have changed from
-    ``uv`` to ``graded`` [m] (T, 2).
-    """
+    """Returns the unstressed edges [m] (F, 2, 2), along (warp, weft) as in ``RestState``, of triangles whose panels
+    have changed from ``uv`` to ``graded`` [m] (T, 2). ``edges`` are those before."""
     before, after = (
         np.stack(meshes.corner_edges(np.column_stack([at, np.zeros(len(at))]), uv_faces), axis=1)[..., :2]
         for at in (uv, graded)
@@ -207,9 +212,11 @@ def regraded(edges: np.ndarray, uv: np.ndarray, graded: np.ndarray, uv_faces: np
 
 
 def garment_measures(garment: Garment, body: BodyModel) -> dict[str, float]:
-    """Girths [m] of ``garment`` without stress at the levels of ``body`` that it goes around, and ``length_m`` from its
-    highest to its lowest point as it hangs. For a garment that hangs from below the waist ``waist_m`` is the girth of
-    its upper end."""
+    """Returns lengths [m] of ``garment`` on ``body`` in the rest pose. ``chest_m``, ``waist_m`` and ``hip_m``: its
+    girths without stress, where it goes around the body. ``length_m``: from its highest to its lowest point.
+
+    ``waist_m`` of a garment that reaches neither chest nor waist is the girth of its upper end.
+    """
     faces, vertices, rest = (
         garment.fine_faces.astype(np.int64),
         garment.vertices.astype(np.float64),

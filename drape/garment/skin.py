@@ -30,7 +30,8 @@ ARMS = {
 
 @dataclass(frozen=True)
 class BodyBinding:
-    """Skin weights (N, 24) and shape movement [m per unit beta] (N, 3, S) of each vertex."""
+    """How N vertices follow the body: bone weights ``weights`` (N, 24), rows summing to one, and ``shapedirs`` (N, 3,
+    S), their movement [m per unit of beta]."""
 
     weights: np.ndarray
     shapedirs: np.ndarray
@@ -39,9 +40,10 @@ class BodyBinding:
 def bind_to_body(
     vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, arm: np.ndarray | None = None
 ) -> BodyBinding:
-    """Weights and shape movement of garment ``vertices`` (N, 3) [m] at rest on ``body`` in T-pose.
+    """Returns the bone weights and the shape movement of a garment with ``vertices`` [m] (N, 3) and ``faces``, at rest
+    on ``body`` in T-pose.
 
-    ``arm`` (N,) in [0, 1]: how much of each vertex goes with the arm of its side, where that is known.
+    ``arm`` (N,) in [0, 1]: how much each vertex goes with the arm on its side; by default as near as it is to the arm.
     """
     if arm is None:
         kernel = body_kernel(vertices, body)
@@ -62,9 +64,8 @@ def bind_to_body(
 def trunk_and_arm_kernels(
     vertices: np.ndarray, body: BodyModel
 ) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
-    """Returns two matrices of weights (N, body vertices) like ``body_kernel``: one of the skin without arms, and one of
-    the arm on the side of each vertex.
-    """
+    """Returns two sparse matrices of weights (N, B) over the B vertices of ``body`` like ``body_kernel``: over the skin
+    without arms, and over the arm on the side of each of ``vertices`` [m] (N, 3)."""
     arms = [body.weights[:, bones].sum(axis=1) > 0.5 for bones in ARMS.values()]
     left, right = (body_kernel(vertices, body, arm) for arm in arms)
     on_left = (vertices[:, 0] > 0.0).astype(np.float64)
@@ -73,11 +74,10 @@ def trunk_and_arm_kernels(
 
 
 def body_kernel(vertices: np.ndarray, body: BodyModel, counts: np.ndarray | None = None) -> scipy.sparse.csr_matrix:
-    """Returns sparse weights (N, body vertices) of the body vertices near each of ``vertices`` [m] (N, 3), Gaussian in
-    the distance.
+    """Returns sparse weights (N, B), rows summing to one, over the vertices of ``body`` near each of ``vertices`` [m]
+    (N, 3): Gaussian in the distance.
 
-    A row sums to one. Only thinned body vertices have weight, and of these only those that ``counts`` (body V,) marks,
-    if it is given.
+    Only ``thinned_vertices`` have weight, and of these only those that ``counts`` (B,) bool marks, if it is given.
     """
     points = thinned_vertices(body)
     points = points if counts is None else points[counts[points]]
@@ -93,16 +93,16 @@ def body_kernel(vertices: np.ndarray, body: BodyModel, counts: np.ndarray | None
 
 
 def thinned_vertices(body: BodyModel) -> np.ndarray:
-    """Returns the indices (n,) of body vertices about ``SAMPLE_SPACING_M`` apart, so that finely meshed parts do not
-    outvote the others.
-    """
+    """Returns the ascending indices (n,) of vertices of ``body`` about ``SAMPLE_SPACING_M`` apart, so that finely
+    meshed parts do not outvote the others."""
     cell = np.floor(body.v_template / SAMPLE_SPACING_M).astype(np.int64)
     _, first = np.unique(cell, axis=0, return_index=True)
     return np.sort(first)
 
 
 def smoothing_matrix(faces: np.ndarray, count: int) -> scipy.sparse.csr_matrix:
-    """One umbrella pass (N, N): half the vertex, half the mean of its neighbours; lone vertices stay."""
+    """Returns the sparse matrix (N, N) of one smoothing pass over ``count`` vertices: half of the vertex itself and
+    half of the mean of its neighbours; a vertex without neighbours stays."""
     adjacency = mesh_graphs.adjacency(faces, count)
     degree = np.asarray(adjacency.sum(axis=1)).ravel()
     mean = scipy.sparse.diags(0.5 / np.maximum(degree, 1)) @ adjacency

@@ -28,10 +28,10 @@ UPPER_POINTS = sum(count for name, count, _, start, _ in BONES if name.endswith(
 
 
 def sleeve_of(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, skin: np.ndarray) -> np.ndarray:
-    """Returns for each of ``vertices`` [m] (V, 3) a number (V,): 1 in the left sleeve, 2 in the right one, ``SHOULDER``
-    at the upper ends of both, and 0 elsewhere.
+    """Returns for each of ``vertices`` [m] (V, 3) a number (V,) int: 1 in the left sleeve, 2 in the right one,
+    ``SHOULDER`` (3) at the upper ends of both, 0 elsewhere.
 
-    The body has ``joints`` [m] (24, 3) and ``skin`` [m] (N, 3).
+    The body inside has ``joints`` [m] (24, 3) and ``skin`` [m] (N, 3).
     """
     bones = bones_of(joints, skin)
     nearest = enclosed(vertices, bones)[1]
@@ -74,8 +74,8 @@ def sleeve_of(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, skin:
 
 
 def covers_arms(points: np.ndarray, bones: Bones) -> bool:
-    """Whether cloth at ``points`` [m] (N, 3), 2 cm from each other or nearer, lies out from the arms of ``bones``, and
-    not between them and the trunk."""
+    """Returns whether cloth at ``points`` [m] (N, 3), at most 2 cm from each other, covers the arms of the body with
+    ``bones`` without sleeves, as a cape does: it lies out from the arms, and not between them and the trunk."""
     arms = [number for number, part in enumerate(bones.part) if part.endswith("arm")]
     covered = np.array([_covered(points, bones, number) for number in arms])
     is_open, sleeved = (covered == [True, False]).all(axis=1), covered.all(axis=1).sum()

@@ -12,10 +12,10 @@ MOST_SHARE = 0.2  # of the faces: more is no stray
 
 
 def without_strays(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` without pieces that lie more than ``FAR`` extents away from all others; itself where there are
-    none.
+    """Returns ``mesh`` without pieces far from the garment, with a note; ``mesh`` itself if there are none, or if they
+    are more than ``MOST_SHARE`` of the faces.
 
-    The piece with the most faces stays, and what lies near it, and what lies near that.
+    The piece with the most faces stays, and so do pieces within ``FAR`` of its extents of a piece that stays.
     """
     label, areas = pieces_of(mesh.vertices, mesh.faces)
     count = len(areas)

@@ -32,13 +32,17 @@ VERSION = 4  # raised when a change here changes the garments that come out
 
 
 def tailored_digest(garment: Garment, wearer: BodyModel, shoes_m: float = -np.inf) -> str:
-    """The hex digest of ``garment`` as ``wearer`` gets it, whose shoes reach up to ``shoes_m`` [m]."""
+    """Returns the hex digest of what ``tailored`` makes of ``garment`` for ``wearer`` with shoes up to ``shoes_m``
+    [m]."""
     return hashlib.sha256(f"tailored {VERSION} {garment.digest} {wearer.digest} {shoes_m:.4f}".encode()).hexdigest()
 
 
 def tailored(garment: Garment, body: BodyModel, wearer: BodyModel, *, shoes_m: float = -np.inf) -> Garment:
     """Returns ``garment``, which was made for ``body``, cut for ``wearer``, a body of the same topology; the garment
-    itself where both are one body. Legs of trousers end above ``shoes_m`` [m], the height that its shoes reach.
+    itself if both are one body. Legs of trousers end above ``shoes_m`` [m], the height in the wearer's frame that its
+    shoes reach; by default there are no shoes.
+
+    Raises ``MeshError`` as ``clear_body`` does.
     """
     if body.digest == wearer.digest:
         return garment
@@ -75,9 +79,9 @@ def tailored(garment: Garment, body: BodyModel, wearer: BodyModel, *, shoes_m: f
 
 
 def stretched(edges: np.ndarray, before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Returns the unstressed edges [m] (G, 2, 2) that give triangles at ``after`` [m] (N, 3) the strain that they have
-    with the unstressed ``edges`` at ``before``. A row is an edge, as in ``RestState``.
-    """
+    """Returns the unstressed edges [m] (G, 2, 2) that give triangles ``faces`` (G, 3) at ``after`` [m] (N, 3) the
+    strain that they have at ``before`` [m] (N, 3) with the unstressed ``edges``. A row is an edge, along (warp, weft),
+    as in ``RestState``."""
     columns = np.swapaxes(edges, -1, -2)
     own, other = (_metric(points, faces, columns) for points in (before, after))
     root = _root(own)

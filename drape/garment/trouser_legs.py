@@ -22,10 +22,11 @@ SHORTEST = 0.4  # of the way from knee to ankle: no shoe makes legs of trousers 
 def above_shoes(
     standing: np.ndarray, faces: np.ndarray, body: BodyModel, wearer: BodyModel, shoes_m: float
 ) -> np.ndarray:
-    """Returns the vertices [m] (N, 3) of a garment, its legs shortened below the knees so that they end above shoes.
+    """Returns the vertices [m] (N, 3) of a garment at ``standing`` on ``body``, its legs shortened below the knees so
+    that they would end above shoes.
 
-    It is ``standing`` [m] (N, 3) on ``body``, with ``faces`` (F, 3). The shoes reach up to ``shoes_m`` [m] on
-    ``wearer``, a body of the same topology. Skirts, and legs that end above them, stay as they are.
+    ``standing`` [m] (N, 3), ``faces`` (F, 3). The shoes reach up to ``shoes_m`` [m] on ``wearer``, a body of the same
+    topology. Skirts, and legs that end above the shoes, stay as they are.
     """
     if shoes_m == -np.inf or skirt_blend(standing, faces, Avatar(body.v_template, body.faces, 0.0, ""), body).any():
         return standing
@@ -46,8 +47,12 @@ def above_shoes(
 
 
 def apart(moved: np.ndarray, standing: np.ndarray, body: BodyModel, wearer: BodyModel) -> np.ndarray:
-    """Returns ``moved`` [m] (N, 3) with cloth of each leg kept on its own side of ``wearer``, if it was on that side of
-    ``body`` as it was ``standing`` there."""
+    """Returns ``moved`` [m] (N, 3), a garment's vertices on ``wearer``, with the cloth of each leg kept on its own side
+    of the plane between the legs.
+
+    Only cloth that is on that side at ``standing`` [m] (N, 3) on ``body`` is kept there: as far from the plane as it
+    was, but no farther than ``APART_M``.
+    """
     nearest, kept = nearest_vertices(standing, body.v_template)[1], moved.copy()
     hips = [bones[0] for bones in LEGS.values()]
     here, there = (one.joints_template[hips, 0].mean() for one in (body, wearer))

@@ -25,9 +25,10 @@ FADE = 0.35  # patch scales from a vertex that leaves a chart over which the cha
 
 
 def chart_triangles(blend: ChartBlend, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The patch (T,) of every chart triangle and its corners (T, 3) as rows of the flattened entries (N * 4).
+    """Returns the triangles of all charts: the patch (T,) of each, and its corners (T, 3) as rows of the flattened
+    chart entries, ``4 * vertex + slot``.
 
-    A face is a triangle of each chart in which all its three vertices have a weight.
+    A face of ``faces`` (F, 3) is a triangle of each chart in which all its three vertices have a weight.
     """
     slots = blend.patch.shape[1]
     used = blend.weight > 0
@@ -46,14 +47,16 @@ def chart_triangles(blend: ChartBlend, faces: np.ndarray) -> tuple[np.ndarray, n
 
 
 def folded_triangles(blend: ChartBlend, uv: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Number (K,) of triangles of each chart that lie upside down or edge-on in ``uv`` (N, 4, 2)."""
+    """Returns for each patch the number (K,) int of its chart's triangles that lie upside down or edge-on at ``uv`` (N,
+    4, 2)."""
     owner, corners = chart_triangles(blend, faces)
     folded = signed_areas(uv.reshape(-1, 2).astype(np.float64), corners) <= 0.0
     return np.bincount(owner[folded], minlength=int(blend.patch.max()) + 1)
 
 
 def folded_charts(blend: ChartBlend, uv: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Which charts (K,) bool are no bijection in ``uv`` (N, 4, 2): a triangle upside down, or a rim that crosses."""
+    """Returns which patches (K,) bool have a chart that is no bijection at ``uv`` (N, 4, 2): a triangle lies upside
+    down or edge-on, or the rim crosses itself."""
     owner, corners = chart_triangles(blend, faces)
     places, count = uv.reshape(-1, 2).astype(np.float64), int(blend.patch.max()) + 1
     folded = np.bincount(owner[signed_areas(places, corners) <= 0.0], minlength=count) > 0
@@ -66,7 +69,8 @@ def folded_charts(blend: ChartBlend, uv: np.ndarray, faces: np.ndarray) -> np.nd
 
 @dataclass(frozen=True)
 class Flattened:
-    """Charts without fold-over: ``blend``, places ``uv`` (N, 4, 2), and which patches (K,) bool were laid flat."""
+    """Charts without fold-over: ``blend``, their patches and weights; ``uv`` (N, 4, 2), the places of vertices in them
+    [patch scales]; and ``unfolded`` (K,) bool, the patches whose charts are no projections but were laid flat."""
 
     blend: ChartBlend
     uv: np.ndarray
@@ -76,11 +80,12 @@ class Flattened:
 def without_folds(
     blend: ChartBlend, local: np.ndarray, scale: np.ndarray, faces: np.ndarray, like: Atlas | None = None
 ) -> Flattened:
-    """Charts of ``local`` positions (N, 4, 3) [m] in the patch frames, laid flat where the projection folds.
+    """Returns the charts ``blend`` of vertices at ``local`` [m] (N, 4, 3) in the patches' frames: projected onto the
+    patch's plane, but laid flat where the projection folds.
 
-    ``scale`` (K,) [m per unit of u, v]. Vertices leave a chart where it has to be cut, or hangs on by a corner,
-    if another chart holds them; around them its weight fades, so that the blend stays continuous. Charts lie as those
-    of ``like``, which has the same ``blend``, wherever these fit.
+    ``scale`` (K,) [m per unit of u, v]. Vertices leave a chart where it has to be cut, or hangs on by a corner, if
+    another chart holds them; around them its weight fades, so that the blend stays continuous. Charts are laid as in
+    ``like``, an atlas with the same ``blend``, where that fits.
     """
     slots = blend.patch.shape[1]
     uv = local[..., :2] / scale[blend.patch][..., None]
@@ -155,9 +160,10 @@ def _keep_one(weight: np.ndarray, before: np.ndarray) -> np.ndarray:
 
 
 def fit_planes(jet: np.ndarray, flattened: Flattened, local: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Returns ``jet`` (K, 27) with in-plane polynomials that follow ``local`` (N, 4, 3) [m] in the charts laid flat.
+    """Returns ``jet`` (K, 27) with in-plane polynomials that follow ``local`` [m] (N, 4, 3), vertices in the patches'
+    frames, in the charts that were laid flat; other patches keep theirs. ``scale`` (K,) [m per unit of u, v].
 
-    Ridge least squares on the departure from the identity, weighed as the blend does.
+    It is ridge least squares on the departure from the identity, weighed as the blend does.
     """
     jet = jet.copy()
     patch, weight = flattened.blend.patch, flattened.blend.weight

@@ -13,8 +13,8 @@ from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import IntakeOptions
 from drape.garment.jewellery import check_cloth, jewellery_wearer
 from drape.garment.mesh_checks import UNITS_M, place_on_avatar
+from drape.garment.reading_hints import NO_HINTS, ReadingHints
 from drape.garment.registration import posed_by
-from drape.garment.told_reading import NOTHING_TOLD, ToldReading
 from drape.garment.wearer_fields import bones_of, cloth_points, enclosed
 from drape.garment.wearer_reading import WearerCandidate
 from drape.garment.wearer_search import the_wearer
@@ -27,8 +27,8 @@ DEEP_M, DEEP_SHARE, BARE_SHARE = 0.01, 0.01, 0.15
 
 
 def on_standard(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> GarmentMesh | None:
-    """Returns the checked ``mesh`` in metres if it lies close on the standard body in T-pose, with every limb in its
-    cloth; otherwise None."""
+    """Returns the checked ``mesh`` in metres, y up, if it lies close on the standard body in T-pose, with every limb in
+    its cloth; otherwise None."""
     avatar = standard_avatar(body)
     try:
         placed = place_on_avatar(mesh, avatar, unit=options.unit, up=options.up, named=False)
@@ -44,16 +44,17 @@ def on_standard(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> G
 
 
 def worn_by(
-    mesh: GarmentMesh, body: BodyModel, options: IntakeOptions, told: ToldReading = NOTHING_TOLD
+    mesh: GarmentMesh, body: BodyModel, options: IntakeOptions, hints: ReadingHints = NO_HINTS
 ) -> tuple[GarmentMesh, Avatar, WearerCandidate]:
-    """The checked ``mesh`` in metres, y up, facing +z, the avatar that was found in it, and what was found.
+    """Returns the checked ``mesh`` in metres, y up, facing +z; the avatar that was found in it, in the same frame; and
+    how it was found.
 
-    Raises ``MeshError`` where no human body fits.
+    ``hints``: what was stated of the file. Raises ``MeshError`` where no human body fits.
     """
-    reading = ToldReading(
-        (options.unit, UNITS_M[options.unit]) if told.unit is None and options.unit != "auto" else told.unit,
-        f"+{options.up}" if told.up is None and options.up != "auto" else told.up,
-        told.front,
+    reading = ReadingHints(
+        (options.unit, UNITS_M[options.unit]) if hints.unit is None and options.unit != "auto" else hints.unit,
+        f"+{options.up}" if hints.up is None and options.up != "auto" else hints.up,
+        hints.front,
     )
     wearer = jewellery_wearer(mesh, body, reading) or accessory_wearer(mesh, body, reading)
     if wearer is None:

@@ -40,8 +40,8 @@ SAMPLED_FACES = 4000
 
 
 def outer_sides(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarray:
-    """Returns which ``faces`` (F,) bool are no inner side of a wall, nor its rim. ``points`` [m] (N, 3) are the mesh's
-    vertices, and ``skin`` the points of the body inside."""
+    """Returns bool (F,), False for those of ``faces`` (F, 3) that are the inner side or the rim of a wall, cloth drawn
+    with a thickness. ``points`` [m] (N, 3): the vertices. ``skin``: points [m] of the body inside."""
     keep, piece = np.ones(len(faces), dtype=bool), mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
     middles, normals = points[faces].mean(axis=1), meshes.face_normals(points, faces)
     areas = meshes.face_areas(points, faces)
@@ -71,15 +71,20 @@ def outer_sides(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarr
 
 
 def farther(middles: np.ndarray, other: np.ndarray, skin: KDTree) -> np.ndarray:
-    """Returns for each face, with its middle at ``middles`` [m] (F, 3), how much farther from the ``skin`` it is than
-    its opposite face ``other`` (F,), divided by the distance of the two: s (F,). It is 0 where ``other`` is -1.
-    """
+    """Returns for each face s (F,): how much farther from the ``skin`` it is than the face ``other`` (F,) opposite to
+    it, divided by the distance between the two. It is 0 where ``other`` is -1. ``middles`` [m] (F, 3): those of the
+    faces."""
     height, gap = skin.query(middles)[0], np.linalg.norm(middles - middles[other], axis=1)
     return np.where(other >= 0, (height - height[other]) / np.maximum(gap, SAME_M), 0.0)
 
 
 def smoothed_sides(faces: np.ndarray, normals: np.ndarray, other: np.ndarray, side: np.ndarray) -> np.ndarray:
-    """The field phi (F,) of a piece; ``other`` (F,) is the opposite face of each, or -1, and ``side`` (F,) is s."""
+    """Returns phi (F,) for the ``faces`` (F, 3) of one piece: positive on the outer side of a wall, negative on the
+    inner one.
+
+    It smooths ``side`` (F,), what ``farther`` returns, along the faces. ``normals`` (F, 3); ``other`` (F,): the face
+    opposite to each within the piece, or -1.
+    """
     count, pairs = len(faces), meshes.edge_pairs(faces)
     weight = np.maximum(meshes.edge_cosines(pairs, normals), LEAST_COSINE) ** 2
     edges = mesh_graphs.edge_matrix(np.stack([pairs[1] // 3, pairs[2] // 3], axis=1), weight, count)
@@ -106,19 +111,19 @@ def _outer(points: np.ndarray, faces: np.ndarray, walled: np.ndarray, other: np.
     return kept | ((other >= 0) & ~kept[other] & (phi > phi[other]))
 
 
-def opposite_faces(mesh: SearchedMesh, asked: np.ndarray, middles: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """The face (n,) opposite to each ``asked`` one (n,) within a wall of the ``mesh``, -1 where there is none; of all
-    its faces ``middles`` and ``normals`` (F, 3) are known."""
-    other, own, start, deepest = np.full(len(asked), -1), normals[asked], middles[asked], PROBES_M[-1]
+def opposite_faces(mesh: SearchedMesh, numbers: np.ndarray, middles: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Returns the face (n,) of ``mesh`` that lies opposite to each of the faces ``numbers`` (n,) within a wall, -1
+    where there is none. ``middles`` [m] and ``normals`` (F, 3): those of all faces of ``mesh``."""
+    other, own, start, deepest = np.full(len(numbers), -1), normals[numbers], middles[numbers], PROBES_M[-1]
     # A probe's ball lies in that of a deeper one on its side: where that is empty of other cloth, so are all.
     near = [mesh.closest(start + sign * deepest * own).distance < (1.0 - 1e-9) * deepest for sign in (-1.0, 1.0)]
     for depth, (sign, beside) in product(PROBES_M, zip((-1.0, 1.0), near, strict=True)):
         rows = np.flatnonzero(beside & (other < 0))
-        found = mesh.closest(start[rows] + sign * depth * own[rows])
-        way = found.point - start[rows]
+        hit = mesh.closest(start[rows] + sign * depth * own[rows])
+        way = hit.point - start[rows]
         length = np.linalg.norm(way, axis=1)
         straight = np.abs(np.einsum("fc,fc->f", way, own[rows])) > 0.8 * length
-        facing = np.abs(np.einsum("fc,fc->f", own[rows], normals[found.face])) > FACING
-        apart = (length > SAME_M) & (found.face != asked[rows]) & straight & facing
-        other[rows[apart]] = found.face[apart]
+        facing = np.abs(np.einsum("fc,fc->f", own[rows], normals[hit.face])) > FACING
+        apart = (length > SAME_M) & (hit.face != numbers[rows]) & straight & facing
+        other[rows[apart]] = hit.face[apart]
     return other

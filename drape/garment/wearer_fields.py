@@ -71,9 +71,8 @@ BIN_COUNT = 12  # directions round a bone; a point of cloth covers its own and b
 
 @lru_cache(maxsize=2)
 def thin_body(body: BodyModel) -> BodyModel:
-    """Returns ``body`` with one vertex for every ``THIN_M`` of skin, in the same shapes and poses, for fits in little
-    time.
-    """
+    """Returns ``body`` with one vertex for every ``THIN_M`` of skin and without pose blend shapes, for fits in little
+    time. Its joints are those of ``body`` in every shape and pose."""
     cell = np.floor(body.v_template / THIN_M).astype(np.int64)
     _, first, label = np.unique(cell, axis=0, return_index=True, return_inverse=True)
     faces = label.reshape(-1)[body.faces]
@@ -95,7 +94,9 @@ def thin_body(body: BodyModel) -> BodyModel:
 
 
 def known_parameters(body: BodyModel, shape: str, lift_rad: float, bent_rad: float) -> np.ndarray:
-    """Parameters (``unpack_parameters``) of a known body, its pelvis at the standard body's."""
+    """Returns the parameters (P,), betas, joint rotations [rad] and translation [m] as in ``unpack_parameters``, of a
+    known body: of the ``shape`` named in ``SHAPES``, with arms ``lift_rad`` below the horizontal and elbows bent
+    forward by ``bent_rad``, not translated."""
     parameters = start_parameters(body, lift_rad, np.zeros(3))
     count = min(body.shape_count, len(SHAPES[shape]))
     parameters[:count] = SHAPES[shape][:count]
@@ -107,8 +108,10 @@ def known_parameters(body: BodyModel, shape: str, lift_rad: float, bent_rad: flo
 
 @dataclass(frozen=True, eq=False)
 class Bones:
-    """Points on the bones of a posed body: ``at`` [m] (B, 3), ``frames`` (B, 3, 3) with the bone's direction last,
-    ``reach`` and ``radius`` of the limb there [m] (B,), and the ``part`` of each; ``joints`` [m] (24, 3)."""
+    """B points along the bones of a posed body: ``at`` [m] (B, 3), and ``frames`` (B, 3, 3), whose rows are unit
+    vectors, the last one along the bone. ``radius`` [m] (B,): that of the limb there. ``reach`` [m] (B,): how far from
+    the bone its cloth may lie. ``part``: the part of the body of each point ("trunk", "left arm", ...). ``joints`` [m]
+    (24, 3): the body's."""
 
     at: np.ndarray
     frames: np.ndarray
@@ -120,7 +123,9 @@ class Bones:
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A posed body's costs on a grid: ``cost`` of cloth in each cell, ``low`` [m] (3,) its first cell's middle."""
+    """The cost of cloth on a grid around a posed body: ``cost`` (X, Y, Z) float32 in cells of ``CELL_M``, and ``low``
+    [m] (3,), the middle of the first cell. ``parameters`` (``unpack_parameters``) and ``bones`` are the body's;
+    ``floor_m`` and ``top_m`` are the heights of its soles and its crown."""
 
     parameters: np.ndarray
     cost: np.ndarray
@@ -130,8 +135,8 @@ class Field:
     top_m: float
 
     def costs(self, points: np.ndarray, rises: np.ndarray, depths: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """The weighted cost (R, D) of cloth at ``points`` [m] (N, 3), moved by whole cells: ``rises`` (R,) up and
-        ``depths`` (D,) forward."""
+        """Returns the costs (R, D) of cloth at ``points`` [m] (N, 3) after moves by whole cells: ``rises`` (R,) up and
+        ``depths`` (D,) forward. A cost is the sum over points, weighted by ``weight`` (N,)."""
         shape = np.array(self.cost.shape)
         room = np.stack([[0, -rises.min(initial=0), -depths.min()], [0, rises.max(initial=0), depths.max()]])
         cell = np.rint((points - self.low) / CELL_M).astype(np.int32)
@@ -142,14 +147,16 @@ class Field:
 
 
 def point_cost(distance: np.ndarray) -> np.ndarray:
-    """The cost of cloth at signed ``distance`` [m] from the skin: 0 on it, 1 far outside, up to 4 inside."""
+    """Returns the cost of a point of cloth at the signed ``distance`` [m] from the skin, of the same shape: 0 on the
+    skin, rising to 1 far outside and to 4 inside."""
     depth = np.clip((-distance - FREE_M) / DEEP_M, 0.0, DEEP_MOST)
     outside = np.maximum(distance - FREE_M, 0.0) ** 2
     return depth + outside / (outside + FAR_M**2)
 
 
 def bones_of(posed: np.ndarray, skin: np.ndarray) -> Bones:
-    """The bones between the joints ``posed`` [m] (24, 3) of a body that has the points ``skin`` [m] (V, 3)."""
+    """Returns points along the bones of a body that has the joints ``posed`` [m] (24, 3) and the points ``skin`` [m]
+    (V, 3)."""
     joints = dict(zip(JOINT_NAMES, posed, strict=True))
     joints["crown"] = joints["head"] + CROWN * (joints["head"] - joints["neck"])
     at, axis, reach, part = [], [], [], []
@@ -176,9 +183,8 @@ def bones_of(posed: np.ndarray, skin: np.ndarray) -> Bones:
 
 
 def enclosed(points: np.ndarray, bones: Bones) -> tuple[np.ndarray, np.ndarray]:
-    """Returns for each of ``points`` [m] (N, 3) the share, in [0, 1], of the turn around its bone at which there is
-    cloth, and the number (N,) of the point on the bones that is nearest.
-    """
+    """Returns for each of ``points`` [m] (N, 3) on cloth the share (N,) in [0, 1] of the directions around its bone in
+    which there is cloth, and the row (N,) in ``bones`` of the point nearest to it."""
     frames = bones.frames.astype(np.float32)
     local = (
         points.astype(np.float32) @ frames.transpose(0, 2, 1)
@@ -195,7 +201,8 @@ def enclosed(points: np.ndarray, bones: Bones) -> tuple[np.ndarray, np.ndarray]:
 
 
 def unthreaded(loops: np.ndarray, joints: np.ndarray) -> int:
-    """The number of closed lines ``loops`` [m] (L, n, 3) without a bone through them; ``joints`` [m] (24, 3)."""
+    """Returns how many of the closed polylines ``loops`` [m] (L, n, 3) have no bone through them. ``joints`` [m] (24,
+    3)."""
     a, b = loops, np.roll(loops, -1, axis=1)
     c = np.broadcast_to(loops.mean(axis=1, keepdims=True), a.shape)
     normal = np.cross(b - a, c - a)
@@ -215,13 +222,14 @@ def unthreaded(loops: np.ndarray, joints: np.ndarray) -> int:
 
 
 def joints_of(body: BodyModel, parameters: np.ndarray) -> np.ndarray:
-    """The joints [m] (24, 3) of ``body`` with ``parameters``."""
+    """Returns the joints [m] (24, 3) of ``body`` with ``parameters`` (``unpack_parameters``), in the world."""
     betas, pose, trans = unpack_parameters(body, parameters)
     return body.posed_joints(pose[None], betas)[0] + trans
 
 
 def field_of(body: BodyModel, parameters: np.ndarray) -> Field:
-    """The field of ``body`` with ``parameters``."""
+    """Returns the grid of the costs of cloth around ``body`` with ``parameters``, betas, joint rotations and
+    translation as in ``unpack_parameters``."""
     skin = posed_by(body, parameters)
     spread = np.array([(a, b, 3 - a - b) for a in range(4) for b in range(4 - a)]) / 3.0  # no cell of a face is missed
     low = skin.min(axis=0) - MARGIN_M
@@ -245,12 +253,13 @@ def field_of(body: BodyModel, parameters: np.ndarray) -> Field:
 
 @lru_cache(maxsize=2)
 def known_fields(body: BodyModel) -> tuple[Field, ...]:
-    """The fields of the ``KNOWN`` bodies."""
+    """Returns the costs of cloth around ``body`` in each of the shapes and poses ``KNOWN``, in their order."""
     return tuple(each(lambda one: field_of(body, known_parameters(body, *one[:3])), KNOWN))
 
 
 def cloth_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points (``count``, 3) spread evenly over the cloth by area, and the faces (``count``,) that they lie on."""
+    """Returns points (``count``, 3) spread evenly over the mesh by area, and the faces (``count``,) that they lie on.
+    The points are in the unit of ``vertices``; the same mesh gives the same points."""
     areas = np.cumsum(meshes.face_areas(vertices, faces))
     draw = np.random.default_rng(0)
     face = np.searchsorted(areas, areas[-1] * (np.arange(count) + draw.random(count)) / count)

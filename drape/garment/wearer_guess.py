@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drape.forked import each
+from drape import forked
 from drape.garment.searched_cloth import SearchedCloth
 from drape.garment.wearer_fields import CELL_M, KNOWN, Field, enclosed
 from drape.garment.wearer_judge import (
@@ -35,7 +35,9 @@ AT_ONCE = np.zeros(1, dtype=np.int32)
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """The known body ``number`` at ``-move`` [m] in a reading's frame, its energy, and where the file's origin is."""
+    """A guess at who wore a garment, in one ``reading`` of its file: the body ``number`` of ``KNOWN``, when the cloth
+    is moved by ``move`` [m] (3,) onto it. ``energy``: its cost, less is likelier. ``origin``: the file's origin is at
+    the body's "root" or "floor", or elsewhere ("")."""
 
     reading: Reading
     number: int
@@ -45,33 +47,38 @@ class Guess:
 
 
 def guesses_of(cloth: SearchedCloth, fields: Sequence[Field], readings: Sequence[Reading]) -> list[Guess]:
-    """Places of the known bodies in every reading, the best of them judged by what they enclose too, best first."""
-    laid = each(lambda one: _over_arms(cloth, fields, one) + _places(cloth, fields, one), readings)
-    places = {reading: found for reading, found in zip(readings, laid, strict=True) if found}
+    """Returns guesses at the body in ``cloth``: places of the known bodies, whose costs are ``fields``, in each of
+    ``readings``; the likeliest first.
 
-    def judged(one: Guess) -> Guess:
-        bones = fields[one.number].bones
-        points = one.reading.apply(cloth.points) + one.move
+    They are ranked by distances from the skin. The best of them are judged by what the cloth encloses and by the bones
+    that it is not open for, too.
+    """
+    laid = forked.each(lambda reading: _over_arms(cloth, fields, reading) + _places(cloth, fields, reading), readings)
+    places = {reading: guesses for reading, guesses in zip(readings, laid, strict=True) if guesses}
+
+    def judged(guess: Guess) -> Guess:
+        bones = fields[guess.number].bones
+        points = guess.reading.apply(cloth.points) + guess.move
         share, nearest = enclosed(points, bones)
         odd = ODD_SIDE * one_sided(bones, nearest) + ODD_PLACE * misplaced(points, bones, nearest, cloth.piece)
-        return replace(one, energy=one.energy + 1.0 - float(share.mean()) + odd)
+        return replace(guess, energy=guess.energy + 1.0 - float(share.mean()) + odd)
 
-    def threaded(one: Guess) -> Guess:
-        joints = fields[one.number].bones.joints - one.move
-        odd = 0.5 * ODD_PIERCED * len(cloth.pierced(one.reading, joints))
-        return replace(one, energy=one.energy + odd + ODD_EMPTY * cloth.empty(one.reading, joints))
+    def threaded(guess: Guess) -> Guess:
+        joints = fields[guess.number].bones.joints - guess.move
+        odd = 0.5 * ODD_PIERCED * len(cloth.pierced(guess.reading, joints))
+        return replace(guess, energy=guess.energy + odd + ODD_EMPTY * cloth.empty(guess.reading, joints))
 
     def sorted_by(known: Callable[[Guess], Guess], guesses: list[Guess]) -> list[Guess]:
-        return sorted(each(known, guesses), key=lambda one: one.energy)
+        return sorted(forked.each(known, guesses), key=lambda guess: guess.energy)
 
-    tops = sorted_by(judged, [one for found in places.values() for one in found[:PLACES]])
-    best = list(dict.fromkeys(one.reading for one in tops))
-    units = {one.unit for one in best[:READINGS]}
-    best = best[:READINGS] + [one for one in best[READINGS:] if one.unit not in units]
-    every = sorted_by(judged, [one for reading in best for one in places[reading]])
-    shown = {one.reading.unit for one in every[:PIERCED_COUNT]}
-    fair = [one for one in every if one.energy < every[0].energy + FAIR and one.reading.unit not in shown]
-    by_unit = {one.reading.unit: one for one in reversed(fair)}
+    tops = sorted_by(judged, [guess for guesses in places.values() for guess in guesses[:PLACES]])
+    best = list(dict.fromkeys(guess.reading for guess in tops))
+    units = {reading.unit for reading in best[:READINGS]}
+    best = best[:READINGS] + [reading for reading in best[READINGS:] if reading.unit not in units]
+    every = sorted_by(judged, [guess for reading in best for guess in places[reading]])
+    shown = {guess.reading.unit for guess in every[:PIERCED_COUNT]}
+    fair = [g for g in every if g.energy < every[0].energy + FAIR and g.reading.unit not in shown]
+    by_unit = {guess.reading.unit: guess for guess in reversed(fair)}
     return sorted_by(threaded, every[:PIERCED_COUNT] + list(by_unit.values()))
 
 
@@ -82,7 +89,7 @@ def _places(cloth: SearchedCloth, fields: Sequence[Field], reading: Reading) -> 
     weight = np.where(points[:, 1] > high[1] - BAND_M, BAND_WEIGHT, 1.0).astype(np.float32)
     weight /= weight.sum()
     extra = reading.oddness + cloth.oddness(reading)
-    found = []
+    guesses = []
     for number, field in enumerate(fields):
         start, rises = _rises(field, low, high)
         if not len(rises):
@@ -91,19 +98,19 @@ def _places(cloth: SearchedCloth, fields: Sequence[Field], reading: Reading) -> 
         best = cost.min(axis=1)
         for rise in np.argsort(best)[:PLACES]:
             move = start + CELL_M * np.array([0, rises[rise], DEPTH_CELLS[cost[rise].argmin()]])
-            found.append(Guess(reading, number, move, float(best[rise]) + extra + KNOWN[number][3] + ODD_ORIGIN, ""))
+            guesses.append(Guess(reading, number, move, float(best[rise]) + extra + KNOWN[number][3] + ODD_ORIGIN, ""))
         for origin, height in (("root", 0.0), ("floor", field.floor_m)):
             move = np.array([0.0, height, 0.0])
             if field.floor_m - 0.1 < low[1] + height and high[1] + height < field.top_m + 0.2:
                 cost = float(field.costs(points + move, AT_ONCE, AT_ONCE, weight)[0, 0])
-                found.append(Guess(reading, number, move, cost + extra + KNOWN[number][3], origin))
-    return sorted(found, key=lambda one: one.energy)
+                guesses.append(Guess(reading, number, move, cost + extra + KNOWN[number][3], origin))
+    return sorted(guesses, key=lambda one: one.energy)
 
 
 def _over_arms(cloth: SearchedCloth, fields: Sequence[Field], reading: Reading) -> list[Guess]:
     """The best place of a body whose arms the cloth covers without sleeves, by what does not hang from them: at most
     one, in a reading that is usual."""
-    points, found = reading.apply(cloth.few), []
+    points, guesses = reading.apply(cloth.few), []
     low, high = points.min(axis=0), points.max(axis=0)
     wall = 1.0 - np.abs(cloth.few_normals @ reading.turn[1])
     weight = np.where(points[:, 1] > high[1] - BAND_M, BAND_WEIGHT, 1.0 - HANGING_OVER_ARMS * wall)
@@ -117,8 +124,8 @@ def _over_arms(cloth: SearchedCloth, fields: Sequence[Field], reading: Reading) 
         move = start + CELL_M * np.array([0, rises[rise], DEPTH_CELLS[depth]])
         if cloth.covers(reading, field.bones, move=move):
             energy = float(cost[rise, depth]) + cloth.oddness(reading) + KNOWN[number][3] + ODD_ORIGIN
-            found.append(Guess(reading, number, move, energy, ""))
-    return sorted(found, key=lambda one: one.energy)[:1]
+            guesses.append(Guess(reading, number, move, energy, ""))
+    return sorted(guesses, key=lambda one: one.energy)[:1]
 
 
 def _rises(field: Field, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -40,8 +40,9 @@ HELD_LIMIT = 0.25  # without what hangs away from the skin, up to which a train 
 def judge(
     cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: np.ndarray, odd_arms: float
 ) -> WearerCandidate:
-    """Returns the ``WearerCandidate`` that says how the cloth, read by ``reading``, lies on ``body`` with
-    ``parameters``. ``odd_arms`` is the cost of the arms that the fit started from."""
+    """Returns ``body`` with ``parameters`` (``unpack_parameters``) as a candidate, with the energy and the faults of
+    the cloth on it, in the frame that ``reading`` gives. ``odd_arms`` is the cost of the arms that the fit started
+    from."""
     points, skin = reading.apply(cloth.points), posed_by(body, parameters)
     distance = _distance(points, skin, body)
     band = points[:, 1] > points[:, 1].max() - BAND_M
@@ -121,14 +122,14 @@ def _place_fault(empty: int, wrong: float) -> str:
 
 
 def one_sided(bones: Bones, nearest: np.ndarray) -> float:
-    """Returns how much more of the cloth lies on limbs of one side than on those of the other, as a share of all its
-    points, in [0, 1]. ``nearest`` (N,) is the row in ``bones`` nearest to each point."""
+    """Returns the share in [0, 1] of the points on cloth that lie on limbs of one side and have no counterpart on the
+    other. ``nearest`` (N,) is the row in ``bones`` nearest to each point."""
     side = np.array([part.startswith("left") - 1.0 * part.startswith("right") for part in bones.part])
     return abs(float(side[nearest].mean()))
 
 
 def misplaced(points: np.ndarray, bones: Bones, nearest: np.ndarray, piece: np.ndarray) -> float:
-    """Returns the share, in [0, 1], of the cloth at ``points`` [m] (N, 3) that lies where no garment is worn.
+    """Returns the share in [0, 1] of the cloth at ``points`` [m] (N, 3) that lies where no garment is worn.
 
     That is a piece around limbs of both sides with hardly any cloth on the trunk, a piece that lies on top of the
     crown, and pieces on the head where there are several. ``nearest`` (N,) is the row in ``bones`` nearest to each

@@ -15,16 +15,13 @@ SIZE_PX = 224
 
 
 def pictured(wearer: WearerCandidate, mesh: GarmentMesh) -> dict[str, Any]:
-    """Returns the manifest's entry for ``wearer`` with pictures.
-
-    The entry and each of its ``others`` get the field ``picture``: ``mesh``, which is in the file's frame, on that
-    body, as a PNG in base64.
-    """
-    told = wearer.to_json()
-    told["picture"] = _picture(wearer, mesh)
-    for entry, other in zip(told["others"], wearer.others, strict=True):
+    """Returns the entry of ``wearer`` for a garment's manifest (``WearerCandidate.to_json``), in which it and each of
+    its ``others`` have a ``picture``: ``mesh``, which is in the frame of its file, on that body, as a PNG in base64."""
+    record = wearer.to_json()
+    record["picture"] = _picture(wearer, mesh)
+    for entry, other in zip(record["others"], wearer.others, strict=True):
         entry["picture"] = _picture(other, mesh)
-    return told
+    return record
 
 
 def _picture(wearer: WearerCandidate, mesh: GarmentMesh) -> str:

@@ -25,7 +25,8 @@ USUAL_FRONTS = {"+y": ("+z",), "+z": ("-y", "+x"), "+x": ("+y", "+z", "-z")}
 
 @dataclass(frozen=True)
 class Reading:
-    """How a file may be meant: ``unit`` ("free" where it is none) of ``scale`` [m], ``up`` and ``front`` as "+y"."""
+    """One way to read the coordinates of a file: their ``unit`` ("cm", ..., or "free" for a size between the units) and
+    its length ``scale`` [m], and the axes ``up`` and ``front`` of the body, such as "+y"."""
 
     unit: str
     scale: float
@@ -34,19 +35,20 @@ class Reading:
 
     @cached_property
     def turn(self) -> np.ndarray:
-        """The rotation (3, 3) from the file's axes to y up, facing +z."""
+        """Returns the rotation (3, 3) from the file's axes to y up, facing +z."""
         up, front = _axis(self.up), _axis(self.front)
         return np.stack([np.cross(up, front), up, front])
 
     @cached_property
     def oddness(self) -> float:
-        """The cost of a reading that few programs write."""
+        """Returns a cost without unit: 0 for units and axes that programs usually write, up to 0.27 for those that few
+        write."""
         odd = ODD.get(self.unit, 0.0) + (ODD["x up"] if self.up == "+x" else 0.0)
         odd += ODD["downward"] if self.up not in USUAL_FRONTS else 0.0
         return odd + (ODD["facing"] if self.front not in USUAL_FRONTS.get(self.up, ()) else 0.0)
 
     def apply(self, points: np.ndarray) -> np.ndarray:
-        """Returns ``points`` (N, 3) of the file in metres, y up, facing +z."""
+        """Returns ``points`` (N, 3) of the file in metres, y up, facing +z; the origin stays."""
         return self.scale * (points @ self.turn.T)
 
 
@@ -56,16 +58,17 @@ def _axis(name: str) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class WearerCandidate:
-    """A body that may have worn a garment, in the frame of ``reading``.
+    """A body that may have worn a garment, in the frame that ``reading`` gives: metres, y up, facing +z.
 
-    ``parameters`` are those that ``unpack_parameters`` takes. ``energy`` ranks bodies, 0 for cloth that lies on the
-    skin all round. ``inside`` is the share of the cloth deeper than 1 cm in the skin, and ``open_share`` the share of
-    the turn around its bones that is bare. ``band_m`` is the median distance of the cloth's upper end from the skin,
-    ``sleeved`` says whether the cloth shows the arms, and ``fault`` what does not fit. ``origin`` says where the file's
-    origin is: at the body's "root" or "floor", or elsewhere (""). ``sure``, in [0, 1], is low where another reading, or
-    the same body higher or lower, fits nearly as well. ``others`` are the bodies that are nearly as likely.
+    ``parameters`` (P,) are those that ``unpack_parameters`` takes. ``energy`` ranks bodies, without unit; it is 0 for
+    cloth that lies on the skin all round. ``inside`` in [0, 1] is the share of the cloth deeper than 1 cm in the skin,
+    and ``open_share`` in [0, 1] the share of the directions around its bones that is bare. ``band_m`` is the median
+    distance of the cloth's upper end from the skin. ``sleeved`` says whether the cloth shows the pose of the arms, and
+    ``fault`` what does not fit, "" if all does. ``odd_arms`` is the cost of arms in a pose that few have. ``origin``:
+    the file's origin is at the body's "root" or "floor", or elsewhere (""). ``sure``, in [0, 1], is low where another
+    reading, or the same body higher or lower, fits nearly as well. ``others`` are bodies that are nearly as likely.
 
-    ``among`` ranks the bodies of one reading: it is the energy without cloth that hangs away from the skin, since
+    ``among`` ranks the bodies of one reading. It is the energy without cloth that hangs away from the skin, since
     larger bodies are nearer to that, and with how evenly the upper end lies. Bodies that fit as well have their skin at
     most ``slid_m`` from this one's.
     """
@@ -88,7 +91,7 @@ class WearerCandidate:
 
     @property
     def rank(self) -> float:
-        """The number by which readings are compared; the least is the best.
+        """Returns the number by which candidates of different readings are compared; the least is the best.
 
         Cloth that hangs far away counts half: a train does not make a hood of a gown.
         """
@@ -108,12 +111,12 @@ class WearerCandidate:
 
     @cached_property
     def height_m(self) -> float:
-        """The height [m] of the body, standing."""
+        """Returns the body's height [m], in the rest pose."""
         return float(np.ptp(self.body.rest_vertices(self.betas)[:, 1]))
 
     @cached_property
     def arms_deg(self) -> float:
-        """How far [deg] the upper arms hang below the horizontal, the mean of both."""
+        """Returns how far [deg] the upper arms point below the horizontal, the mean of both."""
         joints = self.body.posed_joints(self.pose[None], self.betas)[0]
         return float(np.mean([_drop_deg(joints, side) for side in ("left", "right")]))
 
@@ -132,21 +135,22 @@ class WearerCandidate:
 
     @property
     def options(self) -> dict[str, str]:
-        """The form fields of an upload that choose this body (``told_reading``, ``avatars.smpl_avatar``)."""
+        """Returns the form fields of an upload that choose this body: "avatar", with unit, axes, betas, pose and
+        translation as JSON text."""
         unit = self.reading.unit if self.reading.unit in UNITS_M else float(f"{self.reading.scale:.6g}")
-        told = {"unit": unit, "up": self.reading.up.lstrip("+"), "facing": self.reading.front.lstrip("+")}
+        reading = {"unit": unit, "up": self.reading.up.lstrip("+"), "facing": self.reading.front.lstrip("+")}
         arrays = {"betas": self.betas, "pose": self.pose.reshape(-1), "trans": self.trans}
         numbers = {name: np.round(array, 4).tolist() for name, array in arrays.items()}
-        return {"avatar": json.dumps(told | numbers, separators=(",", ":"))}
+        return {"avatar": json.dumps(reading | numbers, separators=(",", ":"))}
 
     def to_json(self) -> dict[str, Any]:
-        """The manifest's entry."""
+        """Returns the candidate and its ``others`` as a dictionary for JSON, as the garment's manifest holds it."""
         others = [one._facts() | {"words": one.words + one.unlike(self)} for one in self.others]
         return self._facts() | {"others": others}
 
     def unlike(self, other: WearerCandidate) -> str:
-        """Returns words for how it differs from ``other`` where the ``words`` of both are alike, such as ", the cloth
-        9 cm lower"; empty if it does not differ."""
+        """Returns words for how this body differs from ``other`` if their ``words`` are alike, such as ", the cloth 9
+        cm lower"; "" if it does not differ."""
         if (self.reading.up, self.reading.front) != (other.reading.up, other.reading.front):
             return f", facing {self.reading.front.lstrip('+')}"
         rise_cm = round(100.0 * float(self.trans[1] - other.trans[1]))
@@ -173,7 +177,8 @@ def _drop_deg(joints: np.ndarray, side: str) -> float:
 
 
 def readings_of(units: Iterable[tuple[str, float]], up: str | None, front: str | None) -> Iterable[Reading]:
-    """Every reading in ``units`` (names and metres), with the axes ``up`` and ``front`` where they are given."""
+    """Yields the readings with each of ``units`` (names and lengths [m]) and each pair of axes; the axes ``up`` and
+    ``front`` are fixed if they are not None."""
     ups, fronts = (list(AXES) if one is None else [one] for one in (up, front))
     for (unit, scale), upward, forward in product(units, ups, fronts):
         if upward[1] != forward[1]:

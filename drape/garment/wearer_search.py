@@ -14,18 +14,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
+from drape import forked
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MeshError
-from drape.forked import each
 from drape.garment.caps import without_pits
 from drape.garment.contours import Contour
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.inside import fit_from
 from drape.garment.mesh_checks import UNITS_M
+from drape.garment.reading_hints import NO_HINTS, ReadingHints
 from drape.garment.registration import FREE_JOINTS, posed_by, posed_normals, start_parameters
 from drape.garment.searched_cloth import SearchedCloth
-from drape.garment.told_reading import NOTHING_TOLD, ToldReading
 from drape.garment.wearer_fields import KNOWN, Field, known_fields, thin_body
 from drape.garment.wearer_guess import Guess, guesses_of
 from drape.garment.wearer_judge import UNIT_INSIDE, judge
@@ -56,75 +56,78 @@ RIVAL = 0.15  # a reading that is worse by this leaves no doubt
 NEARLY, APART_M, MOST_OTHERS = 0.05, 0.06, 2  # worse by less is nearly as likely; so far off it is another body
 
 
-def find_wearers(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING_TOLD) -> list[WearerCandidate]:
-    """The bodies that may have worn ``mesh``, best first, in every reading that what is ``told`` allows.
+def find_wearers(mesh: GarmentMesh, body: BodyModel, hints: ReadingHints = NO_HINTS) -> list[WearerCandidate]:
+    """Returns the bodies that may have worn ``mesh``, a checked mesh in the frame of its file, the likeliest first;
+    empty if no unit makes it as large as a garment. ``hints``, what was stated of the file, limits the readings that
+    are tried.
 
-    Those of one reading stand ``APART_M`` apart. The first has its ``others``, which are nearly as likely.
+    Bodies of one reading stand at least ``APART_M`` apart. The first has its ``others``, which are nearly as likely.
     """
     cloth = SearchedCloth(mesh)
-    units = UNITS_M.items() if told.unit is None else (told.unit,)
-    named = [one for one in readings_of(units, told.up, told.front) if cloth.may_be(one.scale)]
-    usual = [one for one in named if told.front or one.front == USUAL_FRONTS.get(one.up, ("",))[0]]
+    units = UNITS_M.items() if hints.unit is None else (hints.unit,)
+    named = [reading for reading in readings_of(units, hints.up, hints.front) if cloth.may_be(reading.scale)]
+    usual = [reading for reading in named if hints.front or reading.front == USUAL_FRONTS.get(reading.up, ("",))[0]]
     if (plain := _on_standard(cloth, body, usual)) is not None:
         return [replace(plain, sure=_held(cloth, plain))]
     guesses = guesses_of(cloth, known_fields(body), named)
     if guesses and not (keep := _without_pits(mesh, known_fields(body), guesses[0])).all():
-        return find_wearers(mesh.take_faces(keep), body, told)
-    found = _fitted(cloth, body, guesses)
+        return find_wearers(mesh.take_faces(keep), body, hints)
+    fits = _fitted(cloth, body, guesses)
     enough = [(UNIT_ENOUGH, UNIT_INSIDE), (LOOSE_ENOUGH, LOOSE_INSIDE)]
-    fits = any(not one.fault and one.energy < e and one.inside < share for one in found for e, share in enough)
-    if told.unit is None and not fits:
+    good = any(not fit.fault and fit.energy < e and fit.inside < share for fit in fits for e, share in enough)
+    if hints.unit is None and not good:
         sizes = [("free", extent / cloth.extent) for extent in FREE_EXTENTS_M if cloth.may_be(extent / cloth.extent)]
-        free = [one for one in readings_of(sizes, told.up, told.front) if told.up or one.up in ("+y", "+z")]
-        found += _fitted(cloth, body, guesses_of(cloth, known_fields(body), free))
-    least = {one.reading: min(_rank(other) for other in found if other.reading == one.reading) for one in found}
-    found.sort(key=lambda one: (least[one.reading], bool(one.fault), one.among))
-    sure = [_sureness(one, found) * (1.0 if number else _held(cloth, one)) for number, one in enumerate(found)]
-    found = [replace(one, sure=one_sure) for one, one_sure in zip(found, sure, strict=True)]
-    return [replace(found[0], others=_others(cloth, found)), *found[1:]] if found else []
+        free = [r for r in readings_of(sizes, hints.up, hints.front) if hints.up or r.up in ("+y", "+z")]
+        fits += _fitted(cloth, body, guesses_of(cloth, known_fields(body), free))
+    least = {fit.reading: min(_rank(other) for other in fits if other.reading == fit.reading) for fit in fits}
+    fits.sort(key=lambda fit: (least[fit.reading], bool(fit.fault), fit.among))
+    sure = [_sureness(fit, fits) * (1.0 if number else _held(cloth, fit)) for number, fit in enumerate(fits)]
+    fits = [replace(fit, sure=share) for fit, share in zip(fits, sure, strict=True)]
+    return [replace(fits[0], others=_others(cloth, fits)), *fits[1:]] if fits else []
 
 
-def _rank(one: WearerCandidate) -> tuple[bool, float]:
-    return bool(one.fault), one.rank
+def _rank(fit: WearerCandidate) -> tuple[bool, float]:
+    return bool(fit.fault), fit.rank
 
 
-def _others(cloth: SearchedCloth, found: Sequence[WearerCandidate]) -> tuple[WearerCandidate, ...]:
-    """Those of ``found``, best first, that are nearly as likely as the first, and distinctly other bodies."""
-    kept, least = [found[0]], min(one.rank for one in found if one.reading == found[0].reading)
-    for one in found[1:]:
-        alike = one.reading == found[0].reading
-        worse = one.among - found[0].among if alike else one.rank - least
-        near = not one.fault and worse < NEARLY
-        if near and len(kept) <= MOST_OTHERS and all(_apart_m(cloth, one, other) > APART_M for other in kept):
-            kept.append(one)
-    return tuple(kept[1:])
+def _others(cloth: SearchedCloth, fits: Sequence[WearerCandidate]) -> tuple[WearerCandidate, ...]:
+    """Those of ``fits``, best first, that are nearly as likely as the first, and distinctly other bodies."""
+    bodies, least = [fits[0]], min(fit.rank for fit in fits if fit.reading == fits[0].reading)
+    for fit in fits[1:]:
+        alike = fit.reading == fits[0].reading
+        worse = fit.among - fits[0].among if alike else fit.rank - least
+        near = not fit.fault and worse < NEARLY
+        if near and len(bodies) <= MOST_OTHERS and all(_apart_m(cloth, fit, other) > APART_M for other in bodies):
+            bodies.append(fit)
+    return tuple(bodies[1:])
 
 
-def _apart_m(cloth: SearchedCloth, one: WearerCandidate, other: WearerCandidate) -> float:
-    """How far [m] the skin under the cloth is from where ``other`` has the same skin."""
-    thin = thin_body(one.body)
-    skin, there = (posed_by(thin, each.parameters) for each in (one, other))
-    under = KDTree(skin).query(one.reading.apply(cloth.points))[1]
-    moved = one.reading.apply(there[under] @ other.reading.turn / other.reading.scale)
+def _apart_m(cloth: SearchedCloth, first: WearerCandidate, second: WearerCandidate) -> float:
+    """How far [m] the skin under the cloth is from where ``second`` has the same skin."""
+    thin = thin_body(first.body)
+    skin, there = (posed_by(thin, candidate.parameters) for candidate in (first, second))
+    under = KDTree(skin).query(first.reading.apply(cloth.points))[1]
+    moved = first.reading.apply(there[under] @ second.reading.turn / second.reading.scale)
     return float(np.linalg.norm(moved - skin[under], axis=1).mean())
 
 
-def the_wearer(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING_TOLD) -> WearerCandidate:
-    """The likeliest body; raises ``MeshError`` where none fits and says which part does not."""
-    found = find_wearers(mesh, body, told)
-    if not found or found[0].fault:
+def the_wearer(mesh: GarmentMesh, body: BodyModel, hints: ReadingHints = NO_HINTS) -> WearerCandidate:
+    """Returns the likeliest body that has worn ``mesh``, a checked mesh in the frame of its file. Raises ``MeshError``
+    where none fits; it says which part does not."""
+    wearers = find_wearers(mesh, body, hints)
+    if not wearers or wearers[0].fault:
         used = mesh.vertices[np.unique(mesh.faces)]
         extent = " x ".join(f"{length:.4g}" for length in np.ptp(used, axis=0))
         cure = "Say which avatar it was modelled on (avatar), its unit (unit) and its up axis (up)."
-        if told != NOTHING_TOLD:
+        if hints != NO_HINTS:
             cure = "Leave out what was said of the file (unit, up, facing), or say which avatar it was modelled on."
         raise MeshError(
             "garment",
             expected="cloth that a human body fits in, in some unit and pose",
-            got=f"an extent of {extent}; " + (found[0].fault if found else "no unit makes that a garment"),
+            got=f"an extent of {extent}; " + (wearers[0].fault if wearers else "no unit makes that a garment"),
             cure=cure,
         )
-    return found[0]
+    return wearers[0]
 
 
 def _without_pits(mesh: GarmentMesh, fields: Sequence[Field], guess: Guess) -> np.ndarray:
@@ -134,51 +137,50 @@ def _without_pits(mesh: GarmentMesh, fields: Sequence[Field], guess: Guess) -> n
 
 
 def _fitted(cloth: SearchedCloth, body: BodyModel, guesses: Sequence[Guess]) -> list[WearerCandidate]:
-    """The best of the ``guesses``, fitted: one for each reading."""
-    kept: list[Guess] = []
-    for one in guesses:
-        rivals = [other for other in kept if other.reading == one.reading]
-        alike = [other for other in kept if other.reading.unit == one.reading.unit]
-        fresh = one.number not in [other.number for other in rivals]
-        if fresh and len(rivals) < 3 and (len(alike) < 2 or len(kept) < FINALISTS):
-            kept.append(one)
-    thin = thin_body(body)
-    fields = known_fields(body)
-    read = list(dict.fromkeys(one.reading for one in kept))
-    contours = dict(zip(read, each(cloth.contours, read), strict=True))
-    starts = [_Start.of(one, fields[one.number]) for one in kept]
-    tops = {one.reading: one for one in reversed(starts)}
-    starts += [_with_arms(cloth, thin, one) for one in tops.values()]
-    first = _on(thin, each(lambda one: _fit(cloth, thin, contours[one.reading], one, FIRST_STEPS), starts))
-    first.sort(key=lambda one: one.rank)
+    """The best of the ``guesses``, fitted; those of one reading stand ``APART_M`` apart."""
+    finalists: list[Guess] = []
+    for guess in guesses:
+        rivals = [other for other in finalists if other.reading == guess.reading]
+        alike = [other for other in finalists if other.reading.unit == guess.reading.unit]
+        fresh = guess.number not in [other.number for other in rivals]
+        if fresh and len(rivals) < 3 and (len(alike) < 2 or len(finalists) < FINALISTS):
+            finalists.append(guess)
+    thin, fields = thin_body(body), known_fields(body)
+    read = list(dict.fromkeys(guess.reading for guess in finalists))
+    contours = dict(zip(read, forked.each(cloth.contours, read), strict=True))
+    starts = [_Start.of(guess, fields[guess.number]) for guess in finalists]
+    tops = {start.reading: start for start in reversed(starts)}
+    starts += [_with_arms(cloth, thin, start) for start in tops.values()]
+    first = forked.each(lambda start: _fit(cloth, thin, contours[start.reading], start, FIRST_STEPS), starts)
+    first = sorted(_on(thin, first), key=lambda fit: fit.rank)
     likely: list[WearerCandidate] = []
-    for one in first:
-        rivals = [other for other in likely if other.reading == one.reading]
-        if one.rank < CLEARLY + first[0].rank and len(rivals) < RIVALS and len(likely) < WINNERS:
-            likely.append(one)
-    chosen = _on(thin, each(lambda one: _refined(cloth, thin, contours[one.reading], one), likely))
-    rest = [one for one in first if one not in likely]
+    for fit in first:
+        rivals = [other for other in likely if other.reading == fit.reading]
+        if fit.rank < CLEARLY + first[0].rank and len(rivals) < RIVALS and len(likely) < WINNERS:
+            likely.append(fit)
+    chosen = _on(thin, forked.each(lambda fit: _refined(cloth, thin, contours[fit.reading], fit), likely))
+    rest = [fit for fit in first if fit not in likely]
     apart: list[WearerCandidate] = []
-    for one in (*sorted(chosen, key=lambda one: one.among), *rest):
-        if all(one.reading != other.reading or _apart_m(cloth, one, other) > APART_M for other in apart):
-            alike = [other for other in chosen if other.reading == one.reading]
-            as_good = [other for other in alike if other.among < one.among + AS_GOOD]
-            slid = max([_apart_m(cloth, one, other) for other in as_good], default=0.0)
-            apart.append(replace(one, body=body, slid_m=slid))
+    for fit in (*sorted(chosen, key=lambda fit: fit.among), *rest):
+        if all(fit.reading != other.reading or _apart_m(cloth, fit, other) > APART_M for other in apart):
+            alike = [other for other in chosen if other.reading == fit.reading]
+            as_good = [other for other in alike if other.among < fit.among + AS_GOOD]
+            slid = max([_apart_m(cloth, fit, other) for other in as_good], default=0.0)
+            apart.append(replace(fit, body=body, slid_m=slid))
     return apart
 
 
-def _on(body: BodyModel, found: Sequence[WearerCandidate]) -> list[WearerCandidate]:
-    """``found`` on ``body`` itself, of which those from other processes have a copy."""
-    return [replace(one, body=body) for one in found]
+def _on(body: BodyModel, fits: Sequence[WearerCandidate]) -> list[WearerCandidate]:
+    """``fits`` on ``body`` itself, of which those from other processes have a copy."""
+    return [replace(fit, body=body) for fit in fits]
 
 
-def _refined(cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one: WearerCandidate) -> WearerCandidate:
-    """``one`` after more steps, the last of them without ``contours``.
+def _refined(cloth: SearchedCloth, body: BodyModel, contours: list[Contour], fit: WearerCandidate) -> WearerCandidate:
+    """``fit`` after more steps, the last of them without ``contours``.
 
     The middle of a sleeve's or an armhole's rim is below the bone: that leads arms into sleeves, and no farther.
     """
-    led = min(one, _fit(cloth, body, contours, one, LAST_STEPS), key=lambda fit: fit.energy)
+    led = min(fit, _fit(cloth, body, contours, fit, LAST_STEPS), key=lambda refined: refined.energy)
     free = _fit(cloth, body, [], led, FREE_STEPS, 0.0 if led.origin == "floor" else LOCK)
     return free if free.energy < led.energy + WORSE else led
 
@@ -191,12 +193,12 @@ def _on_standard(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Readi
     def judged(start: tuple[Reading, float]) -> WearerCandidate:
         return judge(cloth, start[0], thin, start_parameters(body, 0.0, np.array([0.0, start[1], 0.0])), 0.0)
 
-    found = []
-    for (reading, rise), one in zip(starts, each(judged, starts), strict=True):
+    fits = []
+    for (reading, rise), fit in zip(starts, forked.each(judged, starts), strict=True):
         limits = PLAIN_LIMITS if reading.unit == "m" and reading.up == "+y" and rise == 0.0 else LIMITS
-        if (np.array([one.inside, one.open_share, one.energy]) < limits).all():
-            found.append(one)
-    best = min(found, key=lambda one: one.energy, default=None)
+        if (np.array([fit.inside, fit.open_share, fit.energy]) < limits).all():
+            fits.append(fit)
+    best = min(fits, key=lambda fit: fit.energy, default=None)
     return None if best is None else replace(best, body=body, fault="")
 
 
@@ -214,40 +216,40 @@ class _Start(NamedTuple):
         return cls(guess.reading, parameters, KNOWN[guess.number][3], guess.origin)
 
 
-def _with_arms(cloth: SearchedCloth, body: BodyModel, one: _Start) -> _Start:
-    """``one`` with arms as low as the cloth fits them best, and where straight ones do not lie in it, bent forward."""
-    straight = [_armed(body, one, lift, 0.0) for lift in ARM_LIFTS_RAD]
-    energy = each(lambda other: judge(cloth, other.reading, body, other.parameters, 0.0), straight)
+def _with_arms(cloth: SearchedCloth, body: BodyModel, start: _Start) -> _Start:
+    """``start`` with the arms that fit the cloth best: straight ones, or bent ones where straight ones lie badly."""
+    straight = [_armed(body, start, lift, 0.0) for lift in ARM_LIFTS_RAD]
+    energy = forked.each(lambda other: judge(cloth, other.reading, body, other.parameters, 0.0), straight)
     best = min(range(len(straight)), key=lambda number: energy[number].energy)
     if not energy[best].sleeved or energy[best].energy < BENT_ENERGY:
         return straight[best]
-    bent = [_armed(body, one, lift, bend) for lift in BENT_LIFTS_RAD for bend in BENDS_RAD]
-    lower = each(lambda other: judge(cloth, other.reading, body, other.parameters, 0.0).energy, bent)
+    bent = [_armed(body, start, lift, bend) for lift in BENT_LIFTS_RAD for bend in BENDS_RAD]
+    lower = forked.each(lambda other: judge(cloth, other.reading, body, other.parameters, 0.0).energy, bent)
     return [straight[best], *bent][int(np.argmin([energy[best].energy, *lower]))]
 
 
-def _armed(body: BodyModel, one: _Start, lift_rad: float, bend_rad: float) -> _Start:
-    """``one`` with arms ``lift_rad`` below the horizontal and elbows bent by ``bend_rad``, forward and then inward."""
-    parameters = one.parameters.copy()
+def _armed(body: BodyModel, start: _Start, lift_rad: float, bend_rad: float) -> _Start:
+    """``start`` with arms ``lift_rad`` below the horizontal and elbows bent by ``bend_rad``, forward, then inward."""
+    parameters = start.parameters.copy()
     arms = slice(body.shape_count, -3)
     parameters[arms] = start_parameters(body, lift_rad, np.zeros(3))[arms]
     for side, sign in (("left", -1.0), ("right", 1.0)):
         for joint, share in (("shoulder", BENT_INWARD), ("elbow", 1.0)):
             number = FREE_JOINTS.index(JOINT_NAMES.index(f"{side}_{joint}"))
             parameters[body.shape_count + 3 * number + 1] = share * sign * bend_rad
-    return one._replace(parameters=parameters, odd_arms=ODD_ARMS)
+    return start._replace(parameters=parameters, odd_arms=ODD_ARMS)
 
 
 def _fit(
     cloth: SearchedCloth,
     body: BodyModel,
     contours: list[Contour],
-    one: _Start | WearerCandidate,
+    begin: _Start | WearerCandidate,
     steps: int,
     lock: float = 0.0,
 ) -> WearerCandidate:
-    """The body fitted to a reading from where ``one`` is, and how well the garment lies on it."""
-    reading, start, origin = one.reading, one.parameters, one.origin
+    """The body fitted to a reading from where ``begin`` is, and how well the garment lies on it."""
+    reading, start, origin = begin.reading, begin.parameters, begin.origin
     points, normals = reading.apply(cloth.points), cloth.normals @ reading.turn.T
     skin = posed_by(body, start)
     near = KDTree(skin).query(points)[1]
@@ -273,20 +275,20 @@ def _fit(
         sole=int(skin[:, 1].argmin()) if origin == "floor" else None,
         lock=lock,
     )
-    return judge(cloth, reading, body, parameters, one.odd_arms)
+    return judge(cloth, reading, body, parameters, begin.odd_arms)
 
 
-def _held(cloth: SearchedCloth, one: WearerCandidate) -> float:
+def _held(cloth: SearchedCloth, fit: WearerCandidate) -> float:
     """Near 1 where cloth holds its body in its place: the same body higher or lower fits clearly worse."""
-    thin, rises = thin_body(one.body), []
+    thin, rises = thin_body(fit.body), []
     for rise in (-HELD_M, 0.0, HELD_M):
-        parameters = one.parameters + np.concatenate([np.zeros(len(one.parameters) - 2), [rise, 0.0]])
-        rises.append(judge(cloth, one.reading, thin, parameters, one.odd_arms).energy)
-    held = (min(rises[0], rises[2]) - rises[1]) / HELD + (HELD_ORIGIN if one.origin else 0.3)
-    return float(np.clip(held, 0.3, 1.0) * np.clip(1.0 - one.slid_m / SLID_M, 0.3, 1.0))
+        parameters = fit.parameters + np.concatenate([np.zeros(len(fit.parameters) - 2), [rise, 0.0]])
+        rises.append(judge(cloth, fit.reading, thin, parameters, fit.odd_arms).energy)
+    held = (min(rises[0], rises[2]) - rises[1]) / HELD + (HELD_ORIGIN if fit.origin else 0.3)
+    return float(np.clip(held, 0.3, 1.0) * np.clip(1.0 - fit.slid_m / SLID_M, 0.3, 1.0))
 
 
-def _sureness(one: WearerCandidate, found: Sequence[WearerCandidate]) -> float:
+def _sureness(fit: WearerCandidate, fits: Sequence[WearerCandidate]) -> float:
     """Near 1 where every other reading fits clearly worse and the cloth lies near the skin."""
-    rival = min((other.rank for other in found if other.reading != one.reading), default=np.inf)
-    return float(np.clip((rival - one.rank) / RIVAL, 0.05, 1.0) * np.clip(1.2 - one.energy, 0.1, 1.0))
+    rival = min((other.rank for other in fits if other.reading != fit.reading), default=np.inf)
+    return float(np.clip((rival - fit.rank) / RIVAL, 0.05, 1.0) * np.clip(1.2 - fit.energy, 0.1, 1.0))

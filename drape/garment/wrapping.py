@@ -25,7 +25,7 @@ STEPS, DEEP_STEPS, RELAXATION = 5, 2, 1.5
 
 
 class Wrapping:
-    """Wraps the delivered mesh of ``garment`` around its subdivided one."""
+    """Wraps the delivered mesh of ``garment`` around its subdivided one, so that it lies outside of it everywhere."""
 
     def __init__(self, garment: Garment) -> None:
         placing = corner_weights(garment)
@@ -38,7 +38,8 @@ class Wrapping:
         self._faces = np.ascontiguousarray(garment.fine_faces, dtype=np.int32)
 
     def wrap(self, fine: np.ndarray) -> np.ndarray:
-        """Delivered vertices [m] (V, 3) around the ``fine`` ones [m] (N, 3), of the same type."""
+        """Returns the delivered vertices [m] (V, 3) that lie around the subdivided mesh with vertices ``fine`` [m] (N,
+        3), in the same frame and dtype."""
         fine, dtype = np.ascontiguousarray(fine), fine.dtype
         corners = np.empty((len(self._counted), 3), dtype)
         placed = self._corner, self._weight.astype(dtype), self._counted.astype(dtype), len(corners)

@@ -68,14 +68,14 @@ def nearest_vertices(points: np.ndarray, vertices: np.ndarray, count: int = 1) -
     return np.asarray(distance), np.asarray(index)
 
 
-def on_border(found: ClosestPoints, faces: np.ndarray) -> np.ndarray:
+def on_border(nearest: ClosestPoints, faces: np.ndarray) -> np.ndarray:
     """Returns which of the N points in ``nearest`` lie on a boundary edge of the mesh ``faces`` (F, 3), bool (N,)."""
     corners = np.asarray(faces, dtype=np.int64)
     count = int(corners.max()) + 1
     border = boundary_edges(corners)
     keys, rim = border @ (count, 1), np.zeros(count, dtype=bool)
     rim[border] = True
-    own, weight = corners[found.face], found.barycentric
+    own, weight = corners[nearest.face], nearest.barycentric
     ends = (weight > 1.0 - ON_EDGE) & rim[own]
     for k in range(3):
         edge = np.sort(own[:, [(k + 1) % 3, (k + 2) % 3]], axis=1)
@@ -122,15 +122,15 @@ class ClosedMesh(SearchedMesh):
     def signed_closest(self, points: np.ndarray) -> tuple[np.ndarray, ClosestPoints]:
         """Returns the distances [m] (N,) of ``points`` [m] (N, 3) from the mesh, negative inside, and the nearest
         points on it."""
-        found = self.closest(points)
-        face, weights = found.face, found.barycentric
+        nearest = self.closest(points)
+        face, weights = nearest.face, nearest.barycentric
         there = weights > ON_EDGE
         normal, count = self._face_normals[face], there.sum(axis=1)
         on_edge, on_corner = count == 2, count == 1
         normal[on_edge] = self._edge_normals[face[on_edge], there[on_edge].argmin(axis=1)]
         normal[on_corner] = self._vertex_normals[self.faces[face[on_corner], there[on_corner].argmax(axis=1)]]
-        outside = np.einsum("nc,nc->n", points - found.point, normal) >= 0.0
-        return np.where(outside, found.distance, -found.distance), found
+        outside = np.einsum("nc,nc->n", points - nearest.point, normal) >= 0.0
+        return np.where(outside, nearest.distance, -nearest.distance), nearest
 
 
 def _gathered(rows: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:

@@ -37,9 +37,9 @@ from drape.garment.contours import (
 from drape.garment.files.mesh import AVATAR_VERTEX_LIMIT, GarmentMesh, read_mesh, weld
 from drape.garment.inside import STEPS, fit_from
 from drape.garment.mesh_checks import UNITS_M, Unit, Up, check_area, orient_outward, place_on_avatar
+from drape.garment.reading_hints import ReadingHints
 from drape.garment.registration import body_units, fit_body, posed_by, unpack_parameters
 from drape.garment.searched_cloth import SearchedCloth
-from drape.garment.told_reading import ToldReading
 from drape.garment.wearer_reading import Reading
 from drape.garment.wearer_search import find_wearers
 from drape.geometry import closest, meshes
@@ -150,7 +150,7 @@ def inside_wearer(
     mesh = facing(mesh)
     two_ended = len(long_contours(mesh)) < 3  # a skirt has no front that its body tells
     ahead = {"auto": "+z" if two_ended else None, "kept": "+z", "turned": "-z"}[front]
-    told = ToldReading(None if unit == "auto" else (unit, UNITS_M[unit]), "+y", ahead)
+    told = ReadingHints(None if unit == "auto" else (unit, UNITS_M[unit]), "+y", ahead)
     with progress.stage("a body is fitted inside"):
         fits = _fitted_inside(mesh, load_body(), told)
     fit = min(fits, key=lambda one: one.cost_m2 * (KEPT if one.reading.front == "-z" else 1.0))
@@ -183,7 +183,7 @@ class _Inside(NamedTuple):
     cost_m2: float
 
 
-def _fitted_inside(mesh: GarmentMesh, body: BodyModel, told: ToldReading) -> list[_Inside]:
+def _fitted_inside(mesh: GarmentMesh, body: BodyModel, told: ReadingHints) -> list[_Inside]:
     """The body inside ``mesh``, for each way along z that it may look. Raises ``MeshError`` where none fits.
 
     Where garments are looked for on a person cloth that hangs away pulls little. Here the body goes on to where the

@@ -26,7 +26,8 @@ Files = Mapping[str, Callable[[], bytes]]
 
 
 def read_zip(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
-    """The one mesh in a zip or in the parts of a form, with the pictures beside it."""
+    """Returns the one mesh in ``payload``, a zip or a form (multipart/form-data), with the pictures that lie beside it.
+    Raises ``MeshError`` where there is not exactly one mesh, or where a file cannot be read."""
     files = _parts(payload, name) if payload[:2] == b"--" else zip_members(payload, name)
     shown = {path: read for path, read in files.items() if not path.startswith(("__MACOSX/", ".")) and "/." not in path}
     meshes = [path for path in shown if path.lower().endswith(MESHES)]
@@ -42,10 +43,10 @@ def read_zip(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
 
 
 def files_beside(files: Files, folder: PurePosixPath) -> Beside:
-    """Returns a function that gives the content of a file that a mesh in ``folder`` names, None where ``files`` lacks
-    it.
+    """Returns a function that takes a file's name, as a mesh in ``folder`` gives it, and returns its bytes; None where
+    ``files`` lacks it.
 
-    The file is looked for at its path from ``folder``, and else by the last part of its name.
+    The file is looked for at its path from ``folder``, and then by the last part of its name.
     """
 
     def beside(wanted: str) -> bytes | None:
@@ -59,36 +60,38 @@ def files_beside(files: Files, folder: PurePosixPath) -> Beside:
 
 
 def zip_members(payload: bytes, name: str) -> Files:
-    """The files of a zip; refuses one that is too large, encrypted or damaged, or that has names outside of it."""
+    """Returns a function for each file of the zip ``payload``, by its path there, that unpacks it to bytes. Raises
+    ``MeshError`` for a zip that is too large, encrypted or damaged, or has paths that lead out of it; the functions
+    raise it for damaged files."""
     if (entries := payload.count(b"PK\x01\x02")) > MOST_FILES:
         raise mesh_fault(
             name, f"at most {MOST_FILES} files in the zip", f"{entries}", "Keep the mesh and its pictures."
         )
     try:
         archive = zipfile.ZipFile(io.BytesIO(payload))
-        members = [one for one in archive.infolist() if not one.is_dir()]
+        members = [member for member in archive.infolist() if not member.is_dir()]
     except Exception as error:  # a broken file can raise anything inside the library
         raise mesh_fault(name, "a whole zip", f"{type(error).__name__}", "Pack it again.") from error
-    if (size := sum(one.file_size for one in members)) > MOST_BYTES:
+    if (size := sum(member.file_size for member in members)) > MOST_BYTES:
         raise mesh_fault(name, f"at most {MOST_BYTES >> 20} MiB unpacked", f"{size >> 20} MiB", "Shrink its pictures.")
-    for one in members:
-        if one.file_size > RATIO_FROM and one.file_size > MOST_RATIO * one.compress_size:
-            got = f"{one.file_size / max(one.compress_size, 1):.0f} in {one.filename!a:.60}"
+    for member in members:
+        if member.file_size > RATIO_FROM and member.file_size > MOST_RATIO * member.compress_size:
+            got = f"{member.file_size / max(member.compress_size, 1):.0f} in {member.filename!a:.60}"
             raise mesh_fault(name, f"files packed to at least 1/{MOST_RATIO}", got, "Leave that file out.")
-        if one.filename.startswith("/") or ".." in one.filename.split("/"):
-            raise mesh_fault(name, "names inside the zip", f"{one.filename!a:.60}", "Pack the folder itself.")
-        if one.flag_bits & 1 or one.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        if member.filename.startswith("/") or ".." in member.filename.split("/"):
+            raise mesh_fault(name, "names inside the zip", f"{member.filename!a:.60}", "Pack the folder itself.")
+        if member.flag_bits & 1 or member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise mesh_fault(name, "a zip that is only deflated", "encryption or another packing", "Pack it again.")
 
-    def read(one: zipfile.ZipInfo) -> bytes:
+    def read(member: zipfile.ZipInfo) -> bytes:
         try:
-            return archive.read(one)
+            return archive.read(member)
         except Exception as error:
             raise mesh_fault(
-                name, f"a whole {one.filename!a:.60}", f"{type(error).__name__}", "Pack it again."
+                name, f"a whole {member.filename!a:.60}", f"{type(error).__name__}", "Pack it again."
             ) from error
 
-    return {one.filename: lambda one=one: read(one) for one in members}
+    return {member.filename: lambda member=member: read(member) for member in members}
 
 
 def _parts(payload: bytes, name: str) -> Files:

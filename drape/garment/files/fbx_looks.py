@@ -17,8 +17,12 @@ from drape.garment.files.mesh import Beside
 def fbx_looks(
     materials: Sequence[dict[str, Any] | None], files: Sequence[tuple[list[str], bytes]], beside: Beside
 ) -> tuple[Looks, tuple[str, ...]]:
-    """The looks of ``materials`` (``fbx_process``), with the pictures of ``files`` or ``beside``, and notes of what is
-    not there."""
+    """Returns the look of each of ``materials``, None for a None, and notes about pictures that are missing or left
+    out.
+
+    ``materials``: dictionaries as ``drape.files.fbx`` reads them. ``files``: for each picture its possible names and
+    its bytes, empty if it is not in the file; such pictures are read by ``beside``.
+    """
     numbers: dict[Any, int] = {}
     held: list[bytes] = []
     notes: list[str] = []
@@ -26,23 +30,23 @@ def fbx_looks(
     def content(number: int) -> bytes | None:
         names, inside = files[number]
         named = next((name for name in names if name), "")
-        found = inside or (beside(named) if named else None)
-        if not found:
+        payload = inside or (beside(named) if named else None)
+        if not payload:
             notes.append(f"warning: {named!a:.80} is not beside the mesh: send it in the same zip")
-        return found or None
+        return payload or None
 
-    def kept(key: Any, found: bytes | None) -> int | None:
-        if found is not None and key not in numbers:
+    def kept(key: Any, picture: bytes | None) -> int | None:
+        if picture is not None and key not in numbers:
             numbers[key] = len(held)
-            held.append(found)
+            held.append(picture)
         return numbers.get(key)
 
     def rough(metal: int | None, roughness: int | None) -> int | None:
         """The number of the picture that glTF takes, made of one or two."""
         if (metal, roughness) in numbers:
             return numbers[metal, roughness]
-        found = [None if one is None else content(one) for one in (metal, roughness)]
-        channels = [None if one is None else (one, 0) for one in found]
+        contents = [None if number is None else content(number) for number in (metal, roughness)]
+        channels = [None if payload is None else (payload, 0) for payload in contents]
         try:
             picture = metallic_roughness(*channels, label="picture of roughness") if any(channels) else None
         except MeshError as error:
@@ -50,28 +54,28 @@ def fbx_looks(
             picture = None
         return kept((metal, roughness), picture)
 
-    def material(told: dict[str, Any] | None) -> Material | None:
-        if told is None:
+    def material(record: dict[str, Any] | None) -> Material | None:
+        if record is None:
             return None
-        shown = told["pictures"]
+        shown = record["pictures"]
         metal, roughness, bumps = shown.get("metalness"), shown.get("roughness"), shown.get("normal_map")
         if bumps is None and "bump" in shown and re.search("nor|nrm", " ".join(files[shown["bump"]][0]).lower()):
             bumps = shown["bump"]  # what is called a bump is a height or, as often, a normal: its name tells
         plain: dict[Slot, int | None] = {"base_colour": shown.get("base_color"), "normal": bumps}
         slots: dict[Slot, int | None] = {
-            slot: numbers[one] if one in numbers else kept(one, content(one))
-            for slot, one in plain.items()
-            if one is not None
+            slot: numbers[number] if number in numbers else kept(number, content(number))
+            for slot, number in plain.items()
+            if number is not None
         }
         slots["metallic_roughness"] = None if metal is None and roughness is None else rough(metal, roughness)
         pictures: dict[Slot, int] = {slot: number for slot, number in slots.items() if number is not None}
-        packed, alpha = "metallic_roughness" in pictures, _share(told["opacity"], 1.0)
-        colour = np.array(told["base_color"] or (0.8,) * 3, dtype=float) * _share(told["base_factor"], 1.0)
+        packed, alpha = "metallic_roughness" in pictures, _share(record["opacity"], 1.0)
+        colour = np.array(record["base_color"] or (0.8,) * 3, dtype=float) * _share(record["base_factor"], 1.0)
         rgb = (1.0, 1.0, 1.0) if "base_colour" in pictures else np.clip(np.nan_to_num(colour), 0.0, 1.0).tolist()
         return Material(
             (rgb[0], rgb[1], rgb[2], alpha),
-            metallic=1.0 if packed and metal is not None else _share(told["metalness"], 0.0),
-            roughness=1.0 if packed and roughness is not None else _share(told["roughness"], 0.85),
+            metallic=1.0 if packed and metal is not None else _share(record["metalness"], 0.0),
+            roughness=1.0 if packed and roughness is not None else _share(record["roughness"], 0.85),
             alpha_mode="BLEND" if alpha < 1.0 else "OPAQUE",
             pictures=pictures,
         )

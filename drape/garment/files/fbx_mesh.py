@@ -27,8 +27,8 @@ class _Part:
 
 
 def read_fbx(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = lambda wanted: None) -> GarmentMesh:
-    """The visible meshes of an FBX file in metres, y up; vertices keep the file's order. Pictures are in the file or
-    ``beside``."""
+    """Returns the visible meshes of an FBX file as one, in metres, y up. Vertices keep the file's order. Pictures come
+    from the file or by ``beside``. Raises ``MeshError``."""
     scene = read_scene(payload, lambda expected, got, cure: mesh_fault(name, expected, got, cure))
     parts = list(_parts(scene.meshes, name, vertex_limit))
     if not parts:

@@ -13,7 +13,8 @@ from drape.files.looks import Looks, Material, Slot
 
 
 def gltf_looks(file: GltfFile, used: list[int | None]) -> tuple[Looks, tuple[str, ...]]:
-    """The looks of the materials ``used`` of ``file``, and notes of what is passed over."""
+    """Returns the look of each of the materials numbered ``used`` of ``file``, None for a None and for a material
+    without a look, and notes about pictures and looks that are left out."""
     pictures: dict[str, int] = {}
     held: list[bytes] = []
     notes: list[str] = []
@@ -22,7 +23,7 @@ def gltf_looks(file: GltfFile, used: list[int | None]) -> tuple[Looks, tuple[str
         try:
             entry = file.item("textures", _object(texture).get("index"), "materials")
             others = _object(entry.get("extensions"))
-            source = next((_object(one).get("source") for one in others.values() if "source" in _object(one)), None)
+            source = next((_object(e).get("source") for e in others.values() if "source" in _object(e)), None)
             # The picture that every program reads, where there is one.
             image = entry.get("source", source)
             if shown(image) not in pictures:
@@ -41,10 +42,10 @@ def gltf_looks(file: GltfFile, used: list[int | None]) -> tuple[Looks, tuple[str
         surface = _object(document.get("pbrMetallicRoughness"))
         glossy = _object(_object(document.get("extensions")).get("KHR_materials_pbrSpecularGlossiness"))
         base = surface.get("baseColorTexture") or glossy.get("diffuseTexture")
-        found: dict[Slot, Any] = {"base_colour": base, "normal": document.get("normalTexture")}
-        found["metallic_roughness"] = surface.get("metallicRoughnessTexture")
+        textures: dict[Slot, Any] = {"base_colour": base, "normal": document.get("normalTexture")}
+        textures["metallic_roughness"] = surface.get("metallicRoughnessTexture")
         placed = _object(_object(_object(base).get("extensions")).get("KHR_texture_transform"))
-        numbers = {slot: picture(one) for slot, one in found.items() if one is not None}
+        numbers = {slot: picture(texture) for slot, texture in textures.items() if texture is not None}
         fields = {
             "base_colour": surface.get("baseColorFactor", glossy.get("diffuseFactor", (1.0,) * 4)),
             "metallic": surface.get("metallicFactor", 0.0 if glossy else 1.0),
@@ -52,7 +53,7 @@ def gltf_looks(file: GltfFile, used: list[int | None]) -> tuple[Looks, tuple[str
             "alpha_mode": document.get("alphaMode", "OPAQUE"),
             "alpha_cutoff": document.get("alphaCutoff", 0.5),
             "double_sided": document.get("doubleSided", False),
-            "pictures": {slot: one for slot, one in numbers.items() if one is not None},
+            "pictures": {slot: number for slot, number in numbers.items() if number is not None},
         }
         fields |= {key: placed[key] for key in ("offset", "rotation", "scale") if key in placed}
         try:

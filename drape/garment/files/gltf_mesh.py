@@ -20,7 +20,8 @@ Part = tuple[np.ndarray, np.ndarray, np.ndarray | None, int | None]
 
 
 def read_glb(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = lambda wanted: None) -> GarmentMesh:
-    """The default scene's triangles in world axes; vertices at the same place become one, uv stay per corner."""
+    """Returns the triangles of the default scene as one mesh, in the scene's world axes [m]. Vertices at the same place
+    become one; texture coordinates stay per corner. Raises ``MeshError``."""
     file, parts, total = GltfFile(payload, label=f"mesh {name}", beside=beside), [], 0
     for node, placed in _placed_nodes(file, name):
         mesh = None if node.mesh is None else file.item("meshes", node.mesh, "nodes.mesh")

@@ -31,10 +31,11 @@ MATERIAL_CHARACTERS = 200  # of a name that is kept
 
 @dataclass(frozen=True, eq=False)
 class GarmentMesh:
-    """A triangle mesh: ``vertices`` (V, 3), ``faces`` (F, 3), ``uv`` (T, 2) and ``uv_faces`` (F, 3) or both empty.
+    """A triangle mesh: ``vertices`` (V, 3), ``faces`` (F, 3), ``uv`` (T, 2) and ``uv_faces`` (F, 3), both empty without
+    texture coordinates. They are in the unit and the axes of the file until intake converts them to metres, y up.
 
-    ``material_names`` and ``face_material`` (F,) are the file's; ``notes`` say what was
-    done to it on the way. Texture coordinates have their origin at the lower left. ``looks`` are of the materials.
+    ``material_names``, and ``face_material`` (F,), the number of each face's material. ``notes`` say what was done to
+    the mesh on the way. Texture coordinates have their origin at the lower left. ``looks``: those of the materials.
     """
 
     name: str
@@ -51,13 +52,14 @@ class GarmentMesh:
         return replace(self, notes=self.notes + notes)
 
     def take_faces(self, keep: np.ndarray) -> GarmentMesh:
-        """The same mesh with only the faces of ``keep``."""
+        """Returns the mesh with the same vertices and only the faces ``keep``, a mask (F,) or indices."""
         uv_faces = self.uv_faces[keep] if len(self.uv_faces) else self.uv_faces
         return replace(self, faces=self.faces[keep], uv_faces=uv_faces, face_material=self.face_material[keep])
 
 
 def plain_mesh(name: str, vertices: np.ndarray, faces: np.ndarray | list[list[int]]) -> GarmentMesh:
-    """A mesh without uv and with one material."""
+    """Returns a mesh of ``vertices`` (V, 3) and ``faces`` (F, 3), without texture coordinates and with one material,
+    "default"."""
     faces = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
     return GarmentMesh(
         name=name,
@@ -71,10 +73,8 @@ def plain_mesh(name: str, vertices: np.ndarray, faces: np.ndarray | list[list[in
 
 
 def fans(sides: np.ndarray) -> np.ndarray:
-    """Returns triangles (F, 3) that cut polygons into fans from their first corners, as rows of the polygons' corners.
-
-    ``sides`` (P,) is the number of corners of each polygon; their corners lie one after the other.
-    """
+    """Returns the triangles (F, 3) of polygons cut into fans from their first corners, as indices of corners. Polygon p
+    has ``sides[p]`` corners (P,); the corners of all polygons are numbered one after the other."""
     start = np.cumsum(sides) - sides
     first = np.repeat(start, sides - 2)
     step = np.arange(len(first)) - np.repeat(np.cumsum(sides - 2) - (sides - 2), sides - 2)
@@ -82,7 +82,8 @@ def fans(sides: np.ndarray) -> np.ndarray:
 
 
 def weld(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` with vertices at exactly the same place made one; order of first appearance."""
+    """Returns ``mesh`` with vertices at exactly the same place made one, in the order of their first appearance, with a
+    note. A mesh without such vertices is returned itself."""
     _, first, inverse = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
     if len(first) == len(mesh.vertices):
         return mesh
@@ -94,9 +95,10 @@ def weld(mesh: GarmentMesh) -> GarmentMesh:
 def read_mesh(
     source: Path | bytes, *, name: str | None = None, kind: str | None = None, vertex_limit: int = VERTEX_LIMIT
 ) -> GarmentMesh:
-    """The mesh in a file or in its bytes; ``kind`` (obj, ...) is taken from the suffix or the first bytes.
+    """Returns the mesh in a file or in its bytes, in the file's unit and axes. ``kind`` ("obj", ...) is by default that
+    of the suffix, or of the first bytes.
 
-    Raises ``MeshError`` (or ``NotFound`` for an absent file) with what was expected and what cures it.
+    Raises ``MeshError``, or ``NotFound`` for an absent file, which say what was expected and what cures it.
     """
     folder = None
     if isinstance(source, (bytes, bytearray, memoryview)):
@@ -121,7 +123,8 @@ def read_mesh(
 
 
 def read_payload(payload: bytes, *, name: str, kind: str, vertex_limit: int, beside: Beside) -> GarmentMesh:
-    """The mesh of format ``kind`` with its pictures as they came; ``beside`` gives files that a mesh file names."""
+    """Returns the mesh in ``payload``, a file of the format ``kind``, with its pictures as they are in the file.
+    ``beside`` returns the bytes of a file that the mesh file names. Raises ``MeshError``."""
     kind = "glb" if kind == "vrm" else kind
     form = next((one for one in MESH_FORMATS if one.name == kind), None)
     if form is None:
@@ -139,11 +142,11 @@ def _too_large(size: int) -> tuple[str, str, str]:
 
 
 def check_count(name: str, count: int, limit: int) -> None:
-    """Refuses a mesh that declares more vertices than ``limit``."""
+    """Raises ``MeshError`` if the mesh ``name`` declares ``count`` vertices and that is more than ``limit``."""
     if count > limit:
         raise mesh_fault(name, f"at most {limit:,} vertices", f"{count:,}", "Decimate the mesh.")
 
 
 def mesh_fault(name: str, expected: str, got: str, cure: str = "Export it again.") -> MeshError:
-    """The refusal of the mesh ``name``, for its reader to raise."""
+    """Returns the error about the mesh ``name``, for its reader to raise; ``got`` is cut to 120 characters."""
     return MeshError(f"mesh {name}", expected=expected, got=got[:120], cure=cure)

@@ -16,7 +16,8 @@ _NUMBERS = re.compile(r"[-+.\dEe]+\Z|(on|off)\Z")
 
 
 def mtl_looks(libraries: list[str], beside: Beside, names: tuple[str, ...]) -> tuple[Looks, tuple[str, ...]]:
-    """The looks of the materials ``names``, as the ``libraries`` beside tell them, and notes of what is not there."""
+    """Returns the look of each of the materials ``names``, None for one that no library defines, and notes about files
+    that are missing. ``libraries`` are names of MTL files; ``beside`` returns the bytes of these and of pictures."""
     keywords, pictures, missing = dict[str, dict[str, str]](), dict[str, int](), list[str]()
     held: list[bytes] = []
     for library in list(dict.fromkeys(libraries))[:MOST_LIBRARIES]:

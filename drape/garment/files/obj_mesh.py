@@ -22,7 +22,9 @@ _USUAL = re.compile(r"([1-9]\d{,17})(?:/([1-9]\d{,17})?(?:/(?:[1-9]\d{,17})?)?)?
 
 
 def read_obj(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = lambda wanted: None) -> GarmentMesh:
-    """The mesh of a Wavefront OBJ; vertices and texture coordinates in the file's order, polygons as triangle fans."""
+    """Returns the mesh of a Wavefront OBJ, in the file's unit and axes. Vertices and texture coordinates keep the
+    file's order; polygons become fans of triangles. ``beside`` reads MTL files and pictures. Raises ``MeshError``,
+    which names the line."""
     reader = _ObjReader(name, vertex_limit)
     mesh = reader.read(payload)
     looks, notes = mtl_looks(reader.libraries, beside, mesh.material_names)

@@ -17,7 +17,8 @@ _PLY_SIZES = {
 
 
 def read_ply(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = lambda wanted: None) -> GarmentMesh:
-    """The mesh of a PLY file, by trimesh, once the header's counts fit the bytes; its TextureFile is the picture."""
+    """Returns the mesh of a PLY file, in the file's unit and axes. The picture that its header calls TextureFile, read
+    by ``beside``, is its base colour. Raises ``MeshError``, also where the header's counts do not fit the bytes."""
     end = payload[:65536].find(b"end_header")
     if end < 0 or payload[:3] != b"ply":
         raise mesh_fault(name, "a PLY header", "none in the first 64 KiB")
@@ -50,7 +51,8 @@ def read_ply(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = l
 
 
 def read_stl(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
-    """The mesh of an STL file; equal corners become one vertex, in the order of their first appearance."""
+    """Returns the mesh of an STL file, in the file's unit and axes. Corners at the same place become one vertex, in the
+    order of their first appearance. Raises ``MeshError``."""
     declared = int.from_bytes(payload[80:84], "little") if len(payload) >= 84 else -1
     if declared >= 0 and len(payload) == 84 + 50 * declared:
         check_count(name, declared // 2, vertex_limit)

@@ -37,8 +37,8 @@ class _Part:
 
 
 def read_usd(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = lambda wanted: None) -> GarmentMesh:
-    """The drawn meshes of a USD file in world axes, y up; vertices keep the file's order. Pictures are in the archive
-    or ``beside``."""
+    """Returns the drawn meshes of a USD file as one, in world axes turned to y up, in metres if the file states its
+    unit. Vertices keep the file's order. Pictures come from the usdz archive or by ``beside``. Raises ``MeshError``."""
     try:
         sdf, tf, usd = (import_module(f"pxr.{one}") for one in ("Sdf", "Tf", "Usd"))
     except ModuleNotFoundError as error:

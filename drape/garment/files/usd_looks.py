@@ -20,21 +20,22 @@ USUAL = "st"  # the name of texture coordinates
 
 
 def coordinates_of(prims: Sequence[Any | None]) -> str:
-    """The name of the texture coordinates that the first picture of the materials ``prims`` is placed by."""
+    """Returns the name of the texture coordinates that place the first picture of the material ``prims``; "st" if none
+    says it."""
     for prim in prims:
         surface = None if prim is None else _surface(prim)
         for name in () if surface is None else ("diffuseColor", "normal", "roughness"):
             texture, _ = _source(surface, name)
             reader = None if texture is None else _placed(texture)[1]
-            told = None if reader is None else _value(reader, "varname")
-            if told:
-                return str(told)
+            coordinates = None if reader is None else _value(reader, "varname")
+            if coordinates:
+                return str(coordinates)
     return USUAL
 
 
 def usd_looks(prims: Sequence[Any | None], beside: Beside) -> tuple[Looks, tuple[str, ...]]:
-    """The looks of the materials ``prims``, None where it has no UsdPreviewSurface, with pictures of ``beside``, and
-    notes of what is not there."""
+    """Returns the look of each of the material ``prims``, None for a None and for one without a UsdPreviewSurface, and
+    notes about what is missing or left out. ``beside`` returns the bytes of a picture."""
     reader = _Reader(beside)
     looks = tuple(None if prim is None else reader.material(prim) for prim in prims)
     return Looks(looks, tuple(reader.held)), tuple(dict.fromkeys(reader.notes))
@@ -111,14 +112,14 @@ class _Reader:
 
     def metallic_roughness(self, surface: Any) -> int | None:
         """The number of a picture as glTF takes it, made of one or two."""
-        found = {name: _source(surface, name) for name in GLTF_CHANNELS}
-        there = {name: one for name, one in found.items() if one[0] is not None}
+        sources = {name: _source(surface, name) for name in GLTF_CHANNELS}
+        there = {name: source for name, source in sources.items() if source[0] is not None}
         if not there:
             return None
         paths = {getattr(_value(texture, "file"), "path", "") for texture, _ in there.values()}
         if len(paths) == 1 and all(channel == GLTF_CHANNELS[name] for name, (_, channel) in there.items()):
             return self.picture(next(iter(there.values()))[0])
-        key = tuple((name, getattr(_value(one, "file"), "path", ""), channel) for name, (one, channel) in there.items())
+        key = tuple((name, getattr(_value(t, "file"), "path", ""), channel) for name, (t, channel) in there.items())
         if key in self.numbers:
             return self.numbers[key]
         pairs: dict[str, Channel] = {}

@@ -14,10 +14,10 @@ from drape.garment.accessory_search import accessory_wearer, seated
 from drape.garment.avatars import standard_avatar
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake import intake_mesh
+from drape.garment.reading_hints import ReadingHints
 from drape.garment.registration import posed_by
 from drape.garment.rest_mesh import rest_mesh
 from drape.garment.seats import are_glasses
-from drape.garment.told_reading import ToldReading
 from drape.garment.wearer_fields import known_parameters
 from drape.garment.wearer_reading import Reading, WearerCandidate
 from drape.geometry import meshes
@@ -133,7 +133,7 @@ def test_a_shirt_is_none_in_any_unit(unit_m: float):
 
 def test_what_is_told_of_the_file_holds():
     mesh = glasses(WOMAN)
-    assert accessory_wearer(mesh, BODY, ToldReading(("cm", 0.01))) is None
+    assert accessory_wearer(mesh, BODY, ReadingHints(("cm", 0.01))) is None
 
 
 def test_a_hat_that_was_found_too_low_and_too_far_in_front_is_raised_to_the_forehead():

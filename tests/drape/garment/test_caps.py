@@ -10,7 +10,7 @@ from drape.garment.caps import without_pits
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake_options import IntakeOptions
 from drape.garment.modelled_on import modelled_on
-from drape.garment.told_reading import ToldReading
+from drape.garment.reading_hints import ReadingHints
 from drape.garment.wearer_search import the_wearer
 from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import grid
@@ -77,7 +77,7 @@ def test_a_shirt_that_is_closed_at_the_neck_is_found_where_it_is_worn():
     """The body was found 8 cm lower, its neck beside the pit."""
     mesh, _ = closed_at_the_neck()
     moved = plain_mesh("shirt", mesh.vertices + np.array([0.4, 0.2, -0.1]), mesh.faces)
-    found = the_wearer(moved, BODY, ToldReading(("m", 1.0), "+y", "+z"))
+    found = the_wearer(moved, BODY, ReadingHints(("m", 1.0), "+y", "+z"))
     np.testing.assert_allclose(found.trans, [0.4, 0.2, -0.1], rtol=0, atol=0.015)
     placed, _, _ = modelled_on(mesh, BODY, IntakeOptions())
     assert len(placed.faces) < len(mesh.faces) and "in pits" in placed.notes[-1]

@@ -15,9 +15,9 @@ from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake_options import IntakeOptions
 from drape.garment.mesh_checks import UNITS_M
 from drape.garment.modelled_on import modelled_on
+from drape.garment.reading_hints import ReadingHints, reading_hints
 from drape.garment.registration import posed_by, unpack_parameters
 from drape.garment.searched_cloth import SearchedCloth
-from drape.garment.told_reading import ToldReading, told_reading
 from drape.garment.unnamed_avatar import on_standard, worn_by
 from drape.garment.wearer_fields import SHAPES, bones_of, enclosed, known_parameters, thin_body, unthreaded
 from drape.garment.wearer_judge import judge, misplaced
@@ -125,7 +125,7 @@ def test_a_loose_dress_is_refused_in_readings_that_few_write():
 
 def test_a_refusal_in_a_unit_that_was_told_says_to_leave_it_out():
     with pytest.raises(MeshError, match=r"Leave out what was said of the file \(unit"):
-        the_wearer(tube_dress(), BODY, ToldReading(unit=("mm", 0.001)))
+        the_wearer(tube_dress(), BODY, ReadingHints(unit=("mm", 0.001)))
 
 
 def test_dress_on_the_standard_body_is_found_in_millimetres_with_z_up():
@@ -202,7 +202,7 @@ def test_a_body_that_stands_on_the_origin_of_its_file_is_found_there():
 
 
 def test_named_unit_and_axis_win():
-    found = find_wearers(tube_dress(), BODY, ToldReading(("m", 1.0), "+y"))
+    found = find_wearers(tube_dress(), BODY, ReadingHints(("m", 1.0), "+y"))
     assert {one.reading.unit for one in found} == {"m"} and {one.reading.up for one in found} == {"+y"}
 
 
@@ -258,16 +258,16 @@ def test_a_facing_that_is_told_leaves_the_rest_to_the_search():
 )
 def test_units_and_axes_that_are_none_are_refused(told: dict[str, object], words: str):
     with pytest.raises(BodyError, match=words):
-        told_reading(told)
+        reading_hints(told)
 
 
 def test_what_is_told_in_part_has_the_usual_rest():
-    front_only, rest = told_reading({"facing": "y", "gender": 1.0})
+    front_only, rest = reading_hints({"facing": "y", "gender": 1.0})
     assert rest == {"gender": 1.0} and front_only.reading is None
     assert front_only.turned == Reading("m", 1.0, "+z", "+y")
-    assert told_reading({"unit": 0.01}) == (ToldReading(("cm", 0.01)), None)
-    assert told_reading({"up": "-z"})[0].turned == Reading("m", 1.0, "-z", "-y")
-    assert told_reading("standard") == (ToldReading(), "standard")
+    assert reading_hints({"unit": 0.01}) == (ReadingHints(("cm", 0.01)), None)
+    assert reading_hints({"up": "-z"})[0].turned == Reading("m", 1.0, "-z", "-y")
+    assert reading_hints("standard") == (ReadingHints(), "standard")
 
 
 MANTLES = {

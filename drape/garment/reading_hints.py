@@ -1,4 +1,4 @@
-"""What a client tells of a garment's file beside the body in it: the unit, the axis that is up, and the facing."""
+"""Unit, up axis and facing of a garment's file, as a client states them beside the body in it."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ KEYS = ("unit", "up", "facing")
 
 
 @dataclass(frozen=True)
-class ToldReading:
-    """``unit`` as (name, metres), ``up`` and ``front`` as "+y"; None where nobody told it."""
+class ReadingHints:
+    """What is stated of a file's coordinates: ``unit``, its name and its length [m]; the axes ``up`` and ``front`` of
+    the body, such as "+y". Each is None where nothing is stated."""
 
     unit: tuple[str, float] | None = None
     up: str | None = None
@@ -24,13 +25,13 @@ class ToldReading:
 
     @property
     def reading(self) -> Reading | None:
-        """The reading of the file, if unit and both axes are told; otherwise None."""
+        """Returns the reading of the file if unit and both axes are stated, else None."""
         return None if self.unit is None or not (self.up and self.front) else Reading(*self.unit, self.up, self.front)
 
     @property
     def turned(self) -> Reading | None:
-        """A reading in metres with the axes that are told, and the usual one for an axis that is left out. None if no
-        axis is told."""
+        """Returns a reading in metres with the stated axes, and the usual one for an axis that is not stated; None if
+        no axis is."""
         if self.up is None and self.front is None:
             return None
         up = self.up or ("+y" if self.front and self.front[1] != "y" else "+z")
@@ -38,19 +39,19 @@ class ToldReading:
         return Reading("m", 1.0, up, front)
 
 
-NOTHING_TOLD = ToldReading()
+NO_HINTS = ReadingHints()
 
 
-def told_reading(meaning: Any) -> tuple[ToldReading, Any]:
-    """Returns what the dictionary ``meaning`` of an avatar tells of the file, and the rest of the dictionary, None
-    where nothing is left.
+def reading_hints(meaning: Any) -> tuple[ReadingHints, Any]:
+    """Returns what ``meaning``, as ``avatars.parse_avatar`` returns it, states of the file, and the rest of
+    ``meaning``. Of a dictionary the rest lacks the entries of the file, and is None if it has no others.
 
     Raises ``BodyError`` for an unknown unit or axis, and where the body would face along the axis that is up.
     """
     if not isinstance(meaning, dict) or not set(KEYS) & set(meaning):
-        return NOTHING_TOLD, meaning
+        return NO_HINTS, meaning
     unit, up, front = (meaning.get(key) for key in KEYS)
-    reading = ToldReading(
+    reading = ReadingHints(
         None if unit is None else _unit(unit),
         None if up is None else _axis(up),
         None if front is None else _axis(front),
