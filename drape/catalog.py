@@ -29,12 +29,10 @@ def find_motions(names: Sequence[str]) -> list[Path]:
 
 
 def find_files(names: Sequence[str], folder: Path, suffixes: tuple[str, ...], kind: str) -> list[Path]:
-    """Returns the files that ``names`` name, in their order; without names all those of ``folder``.
-
-    A name is a file, a folder, which stands for its files with one of the ``suffixes``, or the ``short_name`` of files
-    in ``folder``. Files of a folder that begin with "avatar" are left out. Raises ``NotFound`` where a name has no
-    file; the message says which ``kind`` of file and which names there are.
-    """
+    """Returns the files that ``names`` name, in their order; without names all those of ``folder``. A name is a file, a
+    folder, which stands for its files with one of the ``suffixes``, or the ``short_name`` of files in ``folder``. Files
+    of a folder that begin with "avatar" are left out. Raises ``NotFound`` where a name has no file; the message says
+    which ``kind`` of file and which names there are."""
     files: list[Path] = []
     for name in names or [str(folder)]:
         path = Path(name)
@@ -59,21 +57,16 @@ def short_name(path: Path) -> str:
 
 
 def was_trained_on(garment: Garment, names: Sequence[str]) -> bool:
-    """Returns whether ``garment`` is one of the ``names`` of the garments that a model was trained on.
-
-    A name is that of the garment's design, or that of its cache file; the folder and the suffix of a file do not count.
-    """
+    """Returns whether ``garment`` is one of the ``names`` of the garments that a model was trained on. A name is that
+    of the garment's design, or that of its cache file; the folder and the suffix of a file do not count."""
     design = garment.manifest.get("design", {}).get("name")
     return design in names or Path(garment.file_name()).stem in {Path(name).stem for name in names}
 
 
 def open_garment(path: Path, body: BodyModel) -> Garment:
     """Returns the garment in the cache file (.npz) at ``path``, or the one that ``intake`` makes of the mesh file
-    there.
-
-    Raises ``ArtifactError`` for a garment of another body than ``body`` and for a damaged cache file, and
-    ``InputError`` for a mesh that intake refuses.
-    """
+    there. Raises ``ArtifactError`` for a garment of another body than ``body`` and for a damaged cache file, and
+    ``InputError`` for a mesh that intake refuses."""
     if path.suffix == ".npz":
         garment = load_garment(path)
     else:

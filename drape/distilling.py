@@ -32,8 +32,8 @@ from drape.library import Worn
 from drape.motion.clip import MotionClip
 
 FPS = 30.0
-MOST_JOINTS = 64  # of a garment
-POSES, POSES_A_S = 100, 2.5  # of training that weights are fitted to besides clips, and how fast they follow each other
+MOST_JOINTS = 64  # joints of a garment, at most
+POSES, POSES_A_S = 100, 2.5  # training poses that weights are also fitted to, and poses a second
 
 Motion = str | Path | MotionClip
 
@@ -85,10 +85,7 @@ class Joints:
 
     def vrm(self) -> bytes:
         """Returns the bytes of a VRM: the character's file with the garments, whose own joints are spring bones. Its
-        VRM version is that of the character.
-
-        Raises ``InputError`` for a character that is a plain GLB.
-        """
+        VRM version is that of the character. Raises ``InputError`` for a character that is a plain GLB."""
         return worn_vrm(self._worn.character_file, list(zip(self.layers, self.springs, strict=True))).to_bytes()
 
     @cached_property
@@ -100,11 +97,8 @@ class Joints:
 
     def errors_mm(self, motion: Motion, *, fps: float = FPS) -> list[dict[str, float]]:
         """Returns for each garment, the innermost first, the root mean square distance [mm] of its vertices from their
-        drape over ``motion``.
-
-        Its keys: "tracks", joints that follow the drape; "springs", spring bones; "carried", only the character's
-        bones.
-        """
+        drape over ``motion``. Its keys: "tracks", joints that follow the drape; "springs", spring bones; "carried",
+        only the character's bones."""
         errors = []
         for layer, springs, draped in zip(self.layers, self.springs, self._over(motion, fps), strict=True):
             made, scale, on_rig = layer.distilled, self.wearer.scale, draped.motion

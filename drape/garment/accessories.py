@@ -15,22 +15,22 @@ from drape.garment.sheets import pieces_of
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import ClosestPoints, SearchedMesh
 
-# By the bone that carries: the bones whose skin all of the piece must be nearest to. The shank is the knee's, and a
-# heel may be nearer to it.
+# By the bone that carries a piece: the bones whose skin all of the piece must be nearest to. A heel may be nearest to
+# the shank, which is the knee's.
 CARRIERS = {
     "head": ("head",),
     **{f"{side}_ankle": (f"{side}_ankle", f"{side}_foot", f"{side}_knee") for side in ("left", "right")},
     **{f"{side}_wrist": (f"{side}_wrist", f"{side}_hand") for side in ("left", "right")},
 }
 SHANK = ("left_knee", "right_knee")
-SOLID_SHARE = 0.2  # of the area of what bones carry: a sole and the like; the rest are uppers, insoles, laces
-WHOLLY = 0.97  # of the piece
+SOLID_SHARE = 0.2  # solids, as soles, have this share of an accessory's area; the rest are uppers, insoles, laces
+WHOLLY = 0.97  # this share of a piece must be nearest to its bones
 # Area over that of the skin below: gloves and socks have one to one and a half; shoes have a sole and inner walls.
 THICK = 1.8
 STANDS_OFF_M = 0.009  # median distance from the skin: socks and gloves lie on it, shoes do not
-IN_SKIN = 0.1  # of what stands off it: more is a sock on another foot
-SHAFT = 0.4  # of a boot's area at the shank: a longer shaft bends at the ankle, so it is cloth
-SAMPLED = 8  # one of so many faces is asked first
+IN_SKIN = 0.1  # this share of a shoe may lie in the skin: more is a sock on another foot
+SHAFT = 0.4  # a boot with a larger share of its area at the shank bends at the ankle, so it is cloth
+SAMPLED = 8  # one of so many faces is looked at first
 NECK_M = 0.05  # an opening that reaches as far below the head's joint is round the neck: a hood is cloth
 
 
@@ -92,7 +92,7 @@ def _carried_by(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[s
     some = slice(None, None, SAMPLED)
     bone = _bones_at(asked.closest(middles[some]), skinned, body)
     apart = [areas[some][~np.isin(bone, [JOINT_NAMES.index(name) for name in own])].sum() for own in CARRIERS.values()]
-    if min(apart) > (1.0 - WHOLLY) * areas.sum():  # of most garments a few faces tell that no bone carries them
+    if min(apart) > (1.0 - WHOLLY) * areas.sum():  # a few faces show of most garments that no bone carries them
         return None, True
     nearest = asked.closest(middles)
     bone = _bones_at(nearest, skinned, body)

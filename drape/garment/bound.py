@@ -24,7 +24,7 @@ from drape.geometry import meshes
 from drape.geometry.closest import closest_point
 
 ON, OFF, STIFF = range(3)
-SLACK_M = 5e-4  # a place that its triangle's normal misses by more has a frame
+SLACK_M = 5e-4  # a vertex farther than this from its triangle's normal is placed in the triangle's frame
 ARRAYS = ("faces", "uv", "uv_faces", "face_material", "corner", "weight", "offset", "kind")
 
 
@@ -73,7 +73,7 @@ class Drawer:
 
     def __init__(self, bound: BoundMesh, faces: np.ndarray) -> None:
         self._bound = bound
-        self._asked = np.unique(bound.corner[bound.kind == OFF])  # whose normals are
+        self._asked = np.unique(bound.corner[bound.kind == OFF])  # vertices of the cloth that need normals
         self._faces = np.ascontiguousarray(faces[np.isin(faces, self._asked).any(axis=1)], dtype=np.int32)
 
     def arrays(self) -> tuple[np.ndarray, ...]:
@@ -107,12 +107,9 @@ def bind(
     beyond: np.ndarray | None = None,
 ) -> BoundMesh:
     """Returns ``mesh``, whose vertices are at ``places`` [m] (D, 3), bound to the cloth with vertices ``cloth`` [m] (V,
-    3) and triangles ``faces`` (F, 3).
-
-    ``row`` (D,): the cloth's vertex that is the drawn one, else -1. ``part`` (D,): the number of the stiff part that it
-    belongs to, else -1. ``beyond`` (D, 3) [m]: positions from which the nearest triangle is searched, by default
-    ``places``.
-    """
+    3) and triangles ``faces`` (F, 3). ``row`` (D,): the cloth's vertex that is the drawn one, else -1. ``part`` (D,):
+    the number of the stiff part that it belongs to, else -1. ``beyond`` (D, 3) [m]: positions from which the nearest
+    triangle is searched, by default ``places``."""
     count = len(places)
     weight, kind = np.tile([1.0, 0.0, 0.0], (count, 1)), np.full(count, ON, dtype=np.uint8)
     corner, offset = np.repeat(np.maximum(row, 0)[:, None], 3, axis=1), np.zeros((count, 3))

@@ -34,13 +34,13 @@ from drape.garment.bound import BoundMesh, Drawer
 from drape.garment.skin import BodyBinding, bind_to_body
 from drape.geometry import jets, meshes
 
-FORMAT_VERSION = 1  # of what a garment is; digests cover it
-FILE_VERSION = 2  # of how it is stored
-READ_VERSIONS = (1, FILE_VERSION)  # the first had what body and charts tell
+FORMAT_VERSION = 1  # raised when a garment means something else; digests cover it
+FILE_VERSION = 2  # raised when it is stored otherwise
+READ_VERSIONS = (1, FILE_VERSION)  # files of the first version also hold arrays that follow from body and charts
 GARMENTS_DIR = ASSETS / "garments"
-OWN_GARMENTS_DIR = RUNS / "garments"  # what users take in; the service reads it too
+OWN_GARMENTS_DIR = RUNS / "garments"  # garments of users, which the service reads too
 CHARTS_PER_VERTEX = 4
-SAME_M = 5e-7  # float32 of places within a few metres
+SAME_M = 5e-7  # rounding of float32 for positions within a few metres
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,11 +173,9 @@ class Garment(Atlas):
         return bind_to_body(self.vertices, self.fine_faces, body, arm=self.arm_share)
 
     def rest_state(self) -> RestState:
-        """Returns the rest state of the triangles ``fine_faces``: the stored one, or if there is none the one that
-        ``rest_detail.rest_of`` finds.
-
-        Raises ``ArtifactError`` where the stored arrays do not fit the mesh.
-        """
+        """Returns the unstressed edges, hinge angles and stiffening of the triangles ``fine_faces``: the stored ones,
+        or if there are none those that ``rest_detail.rest_of`` finds. Raises ``ArtifactError`` where the stored arrays
+        do not fit the mesh."""
         return self._rest_state
 
     @cached_property
@@ -195,14 +193,14 @@ class Garment(Atlas):
         return RestState(*(np.asarray(array, dtype=np.float64) for array in stored))
 
     def delivered_rest(self) -> RestState:
-        """Returns the rest state of the triangles ``faces``: the stored one, or if they were subdivided the one that
-        ``rest_detail.rest_of`` finds."""
+        """Returns the unstressed edges, hinge angles and stiffening of the triangles ``faces``: the stored ones, or if
+        the triangles were subdivided those that ``rest_detail.rest_of`` finds."""
         if len(self.vertices) == self.vertex_count:
             return self.rest_state()
         return self._rest_of_mesh(self.vertices[: self.vertex_count], self.faces)
 
     def _rest_of_mesh(self, vertices: np.ndarray, faces: np.ndarray) -> RestState:
-        # Here, since only simulation needs it: the service starts without.
+        # Imported here because only simulation needs it, and the service starts without.
         from drape.garment.rest_detail import cloth_of, rest_of
 
         on_corners, materials = (self.uv, self.uv_faces), (self.material_names, self.face_material)
@@ -221,10 +219,8 @@ _TEXT_FIELDS = ("name", "digest", "body_digest", "vertex_count", "material_names
 
 def save_garment(garment: Garment, folder: Path, *, quick: bool = False) -> Path:
     """Writes ``garment`` into ``folder``, which is made if needed, and returns the path of the cache file. The file is
-    written atomically; ``quick`` packs it faster and larger (``files.packed``).
-
-    Raises ``Unavailable`` where the folder cannot be made or written.
-    """
+    written atomically; ``quick`` packs it faster and larger (``files.packed``). Raises ``Unavailable`` where the folder
+    cannot be made or written."""
     left_out = (*_TEXT_FIELDS, "looks", "drawn")
     arrays, drawn = {f.name: getattr(garment, f.name) for f in fields(Garment) if f.name not in left_out}, garment.drawn
     arrays = {name: array for name, array in arrays.items() if array is not None}
@@ -275,7 +271,7 @@ def load_garment(path: Path) -> Garment:
         if not all(isinstance(header[key], kind) for key, kind in _TEXT_KINDS.items()):
             raise TypeError("a field of another type")
         header["material_names"] = tuple(map(str, header["material_names"]))
-        json.dumps(header, ensure_ascii=False, allow_nan=False).encode()  # clients are told of it
+        json.dumps(header, ensure_ascii=False, allow_nan=False).encode()  # the service sends it to clients
         if "uv_vertex" in arrays:
             arrays["faces"] = arrays.pop("uv_vertex")[arrays["uv_faces"]]
         if header.pop("fine_faces", None) == "faces":
@@ -299,7 +295,7 @@ def _tells_residual(arrays: Mapping[str, np.ndarray]) -> bool:
     """Whether the other ``arrays`` of a garment tell its ``chart_residual``."""
     try:
         return bool((np.abs(_residual(arrays) - arrays["chart_residual"]) < SAME_M).all())
-    except (IndexError, ValueError):  # whoever reads the file refuses such arrays with more words
+    except (IndexError, ValueError):  # load_garment refuses such arrays with a sentence
         return False
 
 

@@ -15,24 +15,23 @@ from drape.garment.mesh_checks import consistent_turn
 from drape.geometry import mesh_graphs, meshes
 
 SHARP = 0.5  # cosine between faces beside the edges of a rim
-BENT = 0.3  # most mean cosine round a cap, which lies across its tube or goes back into it
+BENT = 0.3  # the mean cosine around a cap is less: it lies across its tube or goes back into it
 ROUND = (0.4, 2.5)  # a cap's area over that of a circle as long as its rim
 LEAST_FACES = 6
-MOST_SHARE = 0.15  # of the area of its piece
-APART = 0.25  # of the extent: a sleeve's cap has another so far away; a shoe keeps its soles, and a hat its crown
-# Of a pit: its share of its piece's area at most, the cosine of its floor to the bone, and that to the way from the
-# bone up to which its walls go; the tube round the bone, which is told by what is so near to it, looks away.
+MOST_SHARE = 0.15  # a cap has at most this share of its piece's area
+APART = 0.25  # a cap has another this far away, over the extent; so a shoe keeps its sole, and a hat its crown
+# A pit has at most PIT_SHARE of its piece's area. The cosine between the bone and the normal of its floor is above
+# ACROSS. Its walls look towards the bone: their cosine to the direction away from it is below LOOKS_IN. Which way
+# normals look is known from the tube around the bone, cloth within about NEAR_M, which looks away.
 PIT_SHARE, ACROSS, LOOKS_IN, NEAR_M = 0.3, 0.5, 0.15, 0.1
-EVEN = 0.3  # the least way from the bone to the rim, over the longest
-RIM_SHARE = 0.15  # of the extent: a shorter rim lets no hand through
+EVEN = 0.3  # least distance of a pit's rim from the bone, over the largest
+RIM_SHARE = 0.15  # a rim shorter than this share of the extent lets no hand through
 
 
 def without_caps(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Returns bool (F,), False for those of ``faces`` (F, 3) that belong to a cap. ``points`` [m] (N, 3) are the mesh's
-    vertices.
-
-    A cap is a disc with a sharp rim that closes a sleeve, a leg or a hem; the same piece has another one far from it.
-    """
+    vertices. A cap is a disc with a sharp rim that closes a sleeve, a leg or a hem; the same piece has another one far
+    from it."""
     areas = meshes.face_areas(points, faces)
     piece = mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
     label, likely = _likely_caps(points, faces, areas, piece)
@@ -54,11 +53,8 @@ def without_caps(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def without_pits(points: np.ndarray, faces: np.ndarray, joints: np.ndarray) -> np.ndarray:
     """Returns bool (F,), False for those of ``faces`` (F, 3) that belong to a pit. ``points`` [m] (N, 3) are the mesh's
-    vertices.
-
-    A pit closes a tube inside: a floor that a bone between ``joints`` [m] (24, 3) goes through, and the walls around it
-    that look towards the bone. Raises ``MeshError`` for a one-sided surface.
-    """
+    vertices. A pit closes a tube inside: a floor that a bone between ``joints`` [m] (24, 3) goes through, and the walls
+    around it that look towards the bone. Raises ``MeshError`` for a one-sided surface."""
     keep, piece = np.ones(len(faces), dtype=bool), mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
     areas, middles = meshes.face_areas(points, faces), points[faces].mean(axis=1)
     wound, (_, first, second) = np.where(consistent_turn(faces), -1.0, 1.0), meshes.edge_pairs(faces)

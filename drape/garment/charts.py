@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from drape.garment.cache import CHARTS_PER_VERTEX
 
-RIDGE = 1e-4  # of a fit of jets, on coefficients of unit-scaled coordinates
+RIDGE = 1e-4  # of a fit of jets; coordinates are scaled to one
 
 
 @dataclass(frozen=True)
@@ -90,12 +90,10 @@ def blend_charts(graph: scipy.sparse.csr_matrix, seeds: np.ndarray, *, spacing_m
 
 
 def patch_frames(label: np.ndarray, normals: np.ndarray, area: np.ndarray, bone_direction: np.ndarray) -> np.ndarray:
-    """Returns the frames (K, 3, 3) of patches, in the frame of ``normals``: columns u axis, v axis, normal.
-
-    The normal is the patch's mean normal, and the u axis its blended bone direction ``bone_direction`` (K, 3) laid into
-    the tangent plane. Both vary smoothly over the body and carry no arbitrary sign, which lets one network serve
-    partitions that it has never seen. Where bone and normal agree, u looks to the front, or up.
-    """
+    """Returns the frames (K, 3, 3) of patches, in the frame of ``normals``: columns u axis, v axis, normal. The normal
+    is the patch's mean normal, and the u axis its blended bone direction ``bone_direction`` (K, 3) laid into the
+    tangent plane. Both vary smoothly over the body and carry no arbitrary sign, which lets one network serve partitions
+    that it has never seen. Where bone and normal agree, u looks to the front, or up."""
     count = len(bone_direction)
     weighted = area[:, None] * normals
     mean = np.stack([np.bincount(label, weighted[:, axis], count) for axis in range(3)], axis=1)

@@ -19,7 +19,7 @@ from drape.geometry.closest import ClosedMesh
 from drape.geometry.symmetric import ShiftedSystems, symmetric_factor
 
 CLEARANCE_M = 0.006
-MARGIN_M = 2e-4  # aimed beyond the clearance, so that the last smoothing does not fall short of it
+MARGIN_M = 2e-4  # pushes aim this far beyond the clearance, so that the last smoothing does not fall short of it
 LAYER_SOFTNESS_M = (
     0.003  # cloth nearer than about this to the clearance is lifted in proportion: layers keep their order
 )
@@ -28,12 +28,12 @@ FAR_M = 2.0 * CLEARANCE_M  # cloth beyond needs no push, wherever it is exactly
 ROUNDS = 40
 STIFFNESS_M2 = 0.03**2  # smoothing length of the first push, squared; halves from round to round
 REST_SHARE = 0.02  # how much a vertex that is clear resists being taken along
-FEW_HEAVY = 8  # vertices that are short: as many columns take less time than a factor
-THROUGH_ROUNDS, THROUGH_M, THROUGH_STEPS = 20, 0.06, 16  # in which cloth leaves limbs that stick through it, how far
-FEW_SHARE, FEW_DEPTH_M = 0.03, 0.004  # of the cloth may be as deep in the skin in the end
-ALONG = 0.85  # cosine between the ways out of the body and of the cloth from which both are the same
-FACING = 4.0  # what looks into a limb, and has so many times its depth to go through it, did not come that way
-LOOKS_OUT = 0.75  # of a piece of cloth: less have inner walls, which look the other way
+FEW_HEAVY = 8  # up to so many vertices that are short, columns of the inverse take less time than a factor
+THROUGH_ROUNDS, THROUGH_M, THROUGH_STEPS = 20, 0.06, 16  # rounds in which cloth leaves limbs through it; how far
+FEW_SHARE, FEW_DEPTH_M = 0.03, 0.004  # this share of the cloth may end as deep in the skin as this
+ALONG = 0.85  # above this cosine the ways out of the body and along the cloth's normal are the same
+FACING = 4.0  # cloth that looks into a limb and would go so many times its depth through it came the other way
+LOOKS_OUT = 0.75  # a piece of which less looks outward has inner walls, which look inward
 GIVE_UP_DEPTH_M = 0.06  # no cloth was modelled so deep in its avatar: it belongs to another one
 
 
@@ -59,10 +59,8 @@ class _Skin:
         self._ask(np.arange(count))
 
     def move(self, points: np.ndarray) -> None:
-        """Takes the points to their new places ``points`` [m] (N, 3).
-
-        A distance beyond ``FAR_M`` falls by no more than its point moves: ``signed`` may be less than it is there.
-        """
+        """Takes the points to their new places ``points`` [m] (N, 3). A distance beyond ``FAR_M`` falls by no more than
+        its point moves: ``signed`` may be less than it is there."""
         bound = self.signed - np.linalg.norm(points - self.points, axis=1)
         self.points, self.signed = points, np.maximum(bound, FAR_M)
         self._ask(np.flatnonzero(bound < FAR_M))
@@ -120,7 +118,7 @@ def clear_body(
     through: bool = False,
 ) -> Cleared:
     """Returns ``vertices`` [m] (N, 3) moved until each is at least ``CLEARANCE_M`` outside the closed body, in the same
-    frame.
+    frame, and how far they are from it and were moved.
 
     The first push maps distances through a softened maximum, which is monotone, so that a lining stays under its cloth.
     Later pushes lift what is still short. Each push is spread over the cloth, over shorter lengths from round to round,

@@ -37,25 +37,24 @@ from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point
 
 ON_M, ON_SHARE = 0.015, 0.8  # cloth that lies on other cloth with this share of its points is left out
-# What goes round a body so low is a belt: so far from its cloth, and of this share of the largest piece's area at most.
+# A ring no higher than BELT_HIGH_M is a belt, if its area is below BELT_SHARE of the largest piece's. It hangs on cloth
+# up to BELT_M away.
 BELT_HIGH_M, BELT_M, BELT_SHARE = 0.12, 0.05, 0.25
-SMALL_M2, SMALL_SHARE, NEAR_M = 0.02, 0.05, 0.03  # a small thing near cloth: its area, that over the largest piece's
-SEWN_M, SEWN_SHARE, TRIM_SHARE = 0.004, 0.4, 0.15  # of a collar's border on its garment, and its area over that
-HUNG = ("corner", "weight", "offset", "kind")  # the arrays of a bound mesh that tell what a vertex hangs on
-LARGE_M = 0.25  # of what goes round a trunk
+SMALL_M2, SMALL_SHARE, NEAR_M = 0.02, 0.05, 0.03  # of small things: area, also over the largest piece's; way to cloth
+SEWN_M, SEWN_SHARE, TRIM_SHARE = 0.004, 0.4, 0.15  # a collar's border on its garment; its area over that
+HUNG = ("corner", "weight", "offset", "kind")  # the arrays of a bound mesh that say what a vertex hangs on
+LARGE_M = 0.25  # extent of a ring around a trunk, at least
 WOUND_ALIKE = 0.7  # mean cosine between normals of a drawn piece and of its cloth
 STIFF_M = 0.06  # parts up to this size turn as a whole
 VERTEX_LIMIT = 12_000
 THINNED_M = 0.012  # edges of thinned cloth
-SIMPLIFIED = (5 * VERTEX_LIMIT, 19 * VERTEX_LIMIT // 10)  # faces that quadrics leave, where edges stay
+SIMPLIFIED = (5 * VERTEX_LIMIT, 19 * VERTEX_LIMIT // 10)  # faces that quadrics leave, if edges stay too many
 
 
 def join_sheets(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` as sheets of cloth: copies of a vertex become one, and no edge has more than two faces.
-
-    Faces without area, faces drawn twice, and discs that close the end of a tube are left out. If that changes the
-    mesh, the vertices of the sheets follow those of ``mesh``, which stay in their rows.
-    """
+    """Returns ``mesh`` as sheets of cloth: copies of a vertex become one, and no edge has more than two faces. Faces
+    without area, faces drawn twice, and discs that close the end of a tube are left out. If that changes the mesh, the
+    vertices of the sheets follow those of ``mesh``, which stay in their rows."""
     sheets = cut_branches(without_flat_faces(without_cracks(without_copies(weld(mesh)))))
     if not (keep := without_caps(sheets.vertices, sheets.faces)).all():
         sheets = with_used_vertices(sheets.take_faces(keep)).noted(f"{int((~keep).sum())} faces close ends of tubes")
@@ -67,17 +66,17 @@ def join_sheets(mesh: GarmentMesh) -> GarmentMesh:
 
 def cloth_layer(sheets: GarmentMesh, skin: np.ndarray, outer: np.ndarray | None = None) -> GarmentMesh:
     """Returns the one layer of ``sheets`` [m] (``join_sheets``) that is draped; ``sheets`` themselves, if it is all of
-    them.
-
-    Inner sides of walls, pieces that lie on other cloth, small things and facings are left out, and dense cloth is
-    thinned. ``skin`` [m] (S, 3): points of the body inside. ``outer`` (F,) bool: the ``outer_sides`` of the sheets, if
-    known. Raises ``MeshError`` for cloth that cannot be thinned to ``VERTEX_LIMIT``.
-    """
+    them. Inner sides of walls, pieces that lie on other cloth, small things and facings are left out, and dense cloth
+    is thinned. ``skin`` [m] (S, 3): points of the body inside. ``outer`` (F,) bool: the ``outer_sides`` of the sheets,
+    if known. Raises ``MeshError`` for cloth that cannot be thinned to ``VERTEX_LIMIT``."""
     points, faces, notes, tree = sheets.vertices, sheets.faces, [], KDTree(skin)
     keep = outer_sides(points, faces, tree) if outer is None else outer.copy()
     if not keep.all():
         notes.append(f"{int((~keep).sum())} faces are the inner side of walls with a thickness")
-    keep[keep] = _bearing(points, faces[keep], notes)
+    piece, _, bears = bearing_pieces(points, faces[keep])
+    if not bears.all():
+        notes.append(f"{int((~bears).sum())} of {len(bears)} pieces lie on the others and hang on them")
+    keep[keep] = bears[piece]
     facing = np.flatnonzero(keep)[~without_facings(points, faces[keep], tree)]
     if len(facing):
         keep[facing] = False
@@ -140,20 +139,10 @@ def _loops_of_trunk(
     return on_trunk
 
 
-def _bearing(points: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
-    """Which ``faces`` (F,) are of pieces that bear themselves."""
-    piece, _, bears = bearing_pieces(points, faces)
-    if not bears.all():
-        notes.append(f"{int((~bears).sum())} of {len(bears)} pieces lie on the others and hang on them")
-    return bears[piece]
-
-
 def bearing_pieces(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns the connected piece (F,) of each face, numbered from 0 by falling area; the pieces' areas (P,) [m^2]; and
-    which pieces (P,) bool are cloth by themselves.
-
-    A piece is not if it lies on other cloth, is sewn to a much larger piece, or is a small thing near one.
-    """
+    which pieces (P,) bool are cloth by themselves. A piece is not if it lies on other cloth, is sewn to a much larger
+    piece, or is a small thing near one."""
     piece, area = pieces_of(points, faces)
     small = area < min(SMALL_M2, SMALL_SHARE * area[0])
     bears = np.zeros(len(area), dtype=bool)
@@ -196,8 +185,8 @@ def _thinned(mesh: GarmentMesh, notes: list[str]) -> GarmentMesh:
     area = float(meshes.face_areas(points, faces).sum())
     edge_m = max(THINNED_M, float(np.sqrt(area / (0.5 * np.sqrt(3.0) * 0.95 * VERTEX_LIMIT))))
     thin = _evenly_thinned(mesh.name, points, faces, edge_m)
-    if len(thin.vertices) > VERTEX_LIMIT:  # wrinkles and slivers leave no edge that collapses: shape before evenness
-        # Quadrics are asked of what is wound alike, and refused where sheets touch at a vertex.
+    if len(thin.vertices) > VERTEX_LIMIT:  # wrinkles and slivers let no edge collapse
+        # Simplification by quadrics needs faces that are wound alike, and sheets that do not touch at a vertex.
         wound, _ = agreeing(cut_branches(plain_mesh(mesh.name, points, faces)))
         for most in SIMPLIFIED:
             fewer, corners = map(np.asarray, igl.qslim(wound.vertices, wound.faces.astype(np.int64), most)[:2])
@@ -228,7 +217,7 @@ def _stiff_parts(mesh: GarmentMesh, places: np.ndarray, row: np.ndarray) -> tupl
     """The number (D,) of the stiff part that a vertex belongs to, -1 for what bends, and of the piece (D,)."""
     label = mesh_graphs.connected_components(mesh.faces, len(places))
     _, first, at = np.unique(places, axis=0, return_index=True, return_inverse=True)
-    # What a seam of the texture parts is one.
+    # Pieces that only a seam of the texture separates are one.
     label = mesh_graphs.joined_parts(len(places), label, label[first[at.reshape(-1)]])[label]
     count = int(label.max()) + 1
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)

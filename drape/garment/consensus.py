@@ -17,11 +17,11 @@ from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.charts import rows_of_patches
 from drape.geometry import jets
 
-ANCHORS_PER_PATCH = 12  # within the patch itself; its chart reaches over three times as many of its neighbours'
-MEMBERS = 56  # places for the anchors of a chart, of which at least the last stays empty; most charts have 48
+ANCHORS_PER_PATCH = 12  # within the patch; its chart also covers three times as many of its neighbours'
+MEMBERS = 56  # most anchors of a chart, one more than are used; most charts have 48
 FIT_COUNT = jets.HEIGHT_COUNT + jets.IN_PLANE_COUNT  # rows of a fit: the height's order, then the in-plane order
 RIDGE = 1e-4  # of the mean diagonal of the normal equations
-TRACE_SHARE = 0.3  # of the strain's trace in the force that it makes: Poisson's effect
+TRACE_SHARE = 0.3  # how much the strain's trace adds to the force: Poisson's effect
 # Strain is measured at the centre of a patch and on a ring round it [patch scales]; half a patch is about 0.42 wide.
 RING, RING_COUNT = 0.4, 6
 STRAIN_POINTS = 1 + RING_COUNT

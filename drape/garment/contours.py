@@ -25,10 +25,10 @@ from drape.errors import InputError, MeshError
 from drape.garment.files.mesh import GarmentMesh
 from drape.geometry import mesh_graphs, meshes
 
-SHORT_SHARE = 0.14  # of the root of the area: no cuff is as short as this; 14 cm for a square metre
-LONG_SHARE = 0.35  # of the same: a longer border may be a neckline, which lies in flat cloth on broad shoulders
+SHORT_SHARE = 0.14  # no cuff is shorter than this share of the root of the area, 14 cm for a square metre
+LONG_SHARE = 0.35  # a longer border may be a neckline, which lies in flat cloth on broad shoulders
 LIES_IN_CLOTH = 0.85  # cosine between the cloth's normals at a rim and the hole's own: a neckline has 0.7, a cuff 0.2
-LOOKS_SIDEWAYS = 0.6  # below it is a tube's end; a border between the two needs a body to be told
+LOOKS_SIDEWAYS = 0.6  # a tube's end has less; what a border between the two is, only a body can show
 SMOOTHINGS = 4
 TRUNK = "trunk"
 LIMBS = {
@@ -37,19 +37,16 @@ LIMBS = {
     "left_arm": ("left_collar", "left_shoulder", "left_elbow", "left_wrist", "left_hand"),
     "right_arm": ("right_collar", "right_shoulder", "right_elbow", "right_wrist", "right_hand"),
 }
-SPINE = ("pelvis", "neck", "head")  # straight: at the kinks of the spine the nearest point jumps by centimetres
-MIDDLES = ("ankle", "knee")  # of both legs, from below
-BEYOND_M = 0.2  # that a chain goes on after its last joint: hems below the ankle, cuffs over the hand
-OTHER_PART = 100.0  # cost [m^2] of matching contours of different parts: never, as long as there is a choice
+SPINE = ("pelvis", "neck", "head")  # a straight line: at the kinks of the spine the nearest point jumps by centimetres
+MIDDLES = ("ankle", "knee")  # midpoints between both legs continue the trunk, from below
+BEYOND_M = 0.2  # chains go on after their last joint, for hems below the ankle and cuffs over the hand
+OTHER_PART = 100.0  # cost [m^2] of matching contours of different parts, so that it never pays
 
 
 class Loop(NamedTuple):
     """A border of a mesh: ``loop`` (n,), its vertices in order; ``length``, in the mesh's unit; ``flatness`` in [0, 1];
-    and ``axis`` (3,), the unit normal of the plane that it spans.
-
-    ``flatness`` is the mean of |vertex normal . axis| along the border: 1 for a hole in flat cloth, 0 at the end of a
-    tube.
-    """
+    and ``axis`` (3,), the unit normal of the plane that it spans. ``flatness`` is the mean of |vertex normal . axis|
+    along the border: 1 for a hole in flat cloth, 0 at the end of a tube."""
 
     loop: np.ndarray
     length: float
@@ -61,7 +58,7 @@ def borders(mesh: GarmentMesh) -> list[Loop]:
     """Returns the borders of ``mesh``, the longest first. Its faces must be wound consistently."""
     normals = meshes.vertex_normals(mesh.vertices, mesh.faces)
     averaging = mesh_graphs.umbrella_laplacian(mesh.faces, len(mesh.vertices))
-    for _ in range(SMOOTHINGS):  # noise tilts single normals
+    for _ in range(SMOOTHINGS):  # because noise tilts single normals
         normals = normals + averaging @ normals
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     loops = []
@@ -103,11 +100,9 @@ class Contour:
 
 class ContourPlace(NamedTuple):
     """Where a contour lies along the body: the ``part`` of the body ("trunk", "left_arm", ...), ``along_m`` [m], the
-    length along the part's bones, and the unit ``direction`` (3,) of the bones there.
-
-    On the trunk ``along_m`` counts upwards from the pelvis, on a limb outwards from its first joint. ``part`` is None
-    if no bone passes through the contour; ``along_m`` and ``direction`` are zero then.
-    """
+    length along the part's bones, and the unit ``direction`` (3,) of the bones there. On the trunk ``along_m`` counts
+    upwards from the pelvis, on a limb outwards from its first joint. ``part`` is None if no bone passes through the
+    contour; ``along_m`` and ``direction`` are zero then."""
 
     part: str | None
     along_m: float
@@ -145,11 +140,9 @@ def open_contours(vertices: np.ndarray, faces: np.ndarray) -> list[Contour]:
 
 def bone_chains(joints: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
     """Returns for each part of the body ("trunk" and four limbs) the polyline [m] (n, 3) along its bones, and the
-    length [m] of the polyline up to the part's origin: to the pelvis for the trunk, 0 for limbs.
-
-    ``joints`` [m] (24, 3), in any pose. Chains go on for ``BEYOND_M`` after their last joints; the trunk begins below,
-    between the ankles.
-    """
+    length [m] of the polyline up to the part's origin: to the pelvis for the trunk, 0 for limbs. ``joints`` [m] (24,
+    3), in any pose. Chains go on for ``BEYOND_M`` after their last joints; the trunk begins below, between the
+    ankles."""
     check_shape("joints", joints, (JOINT_COUNT, 3))
     check_finite("joints", joints)
     at = dict(zip(JOINT_NAMES, joints, strict=True))
@@ -211,11 +204,8 @@ def part_round(contour: Contour, chains: dict[str, tuple[np.ndarray, float]]) ->
 
 def place_of(contour: Contour, chains: dict[str, tuple[np.ndarray, float]]) -> ContourPlace:
     """Returns the place of ``contour`` along the part of the body that it goes around. ``chains``: what ``bone_chains``
-    returns.
-
-    Where no bone passes through, as through a cuff that lies folded, the part with the nearest bone counts if the bone
-    is nearer to the centre than a round contour of that length would be.
-    """
+    returns. Where no bone passes through, as through a cuff that lies folded, the part with the nearest bone counts if
+    the bone is nearer to the centre than a round contour of that length would be."""
     nearest = {part: _nearest(contour.centre, chain) for part, (chain, _) in chains.items()}
     part = part_round(contour, chains)
     if part is None:
@@ -281,11 +271,9 @@ def match_contours(source: list[Contour], target: list[Contour], joints: np.ndar
 
 def lost_parts(nodes: np.ndarray, faces: np.ndarray, joints: np.ndarray, parts: Sequence[str]) -> tuple[str, ...]:
     """Returns those of ``parts``, names as in ``bone_chains``, that do not go through an opening of their own in the
-    garment with vertices ``nodes`` [m] (N, 3) and ``faces`` (F, 3), sorted; empty if none is lost.
-
-    A limb whose bones go through the cloth is lost too: its sleeve slipped off and only the cuff is still round the
-    arm. ``joints`` [m] (24, 3) are those of the body in its pose.
-    """
+    garment with vertices ``nodes`` [m] (N, 3) and ``faces`` (F, 3), sorted; empty if none is lost. A limb whose bones
+    go through the cloth is lost too: its sleeve slipped off and only the cuff is still round the arm. ``joints`` [m]
+    (24, 3) are those of the body in its pose."""
     chains = bone_chains(joints)
     there = Counter(filter(None, (part_round(contour, chains) for contour in open_contours(nodes, faces))))
     lost = (Counter(parts) - there) | Counter(set(pierced_parts(nodes, faces, joints)) & set(parts) - {TRUNK})
@@ -296,7 +284,7 @@ def pierced_parts(nodes: np.ndarray, faces: np.ndarray, joints: np.ndarray) -> t
     """Returns the names of the body's parts whose bones go through the cloth with vertices ``nodes`` [m] (N, 3) and
     ``faces`` (F, 3); empty if there are none. Of the trunk only the bones from pelvis to head count. ``joints`` [m]
     (24, 3)."""
-    bones = {part: chain[:-1] for part, (chain, _) in bone_chains(joints).items()}  # beyond the last joint is none
+    bones = {part: chain[:-1] for part, (chain, _) in bone_chains(joints).items()}  # no bone is beyond the last joint
     bones[TRUNK] = bones[TRUNK][-len(SPINE) :]
     return tuple(part for part, chain in bones.items() if pierces(chain, nodes, faces))
 

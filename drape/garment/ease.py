@@ -37,11 +37,8 @@ def eases(
     faces: np.ndarray, rest: RestState, vertices: np.ndarray, body: BodyModel, betas: np.ndarray | None = None
 ) -> dict[str, Ease]:
     """Returns the ease of a garment at the levels "chest_m", "waist_m" and "hip_m" of the body, without those that the
-    garment does not go around.
-
-    The cloth with ``faces`` (F, 3) and the rest state ``rest`` is draped at ``vertices`` [m] (V, 3) on ``body`` with
-    shape ``betas`` in the rest pose.
-    """
+    garment does not go around. The cloth with ``faces`` (F, 3) and the rest state ``rest`` is draped at ``vertices``
+    [m] (V, 3) on ``body`` with shape ``betas`` in the rest pose."""
     place, skin, joints = landmarks(body), body.rest_vertices(betas), body.rest_joints(betas)
     by_name = {}
     for name, level in place.levels(skin)._asdict().items():
@@ -56,10 +53,8 @@ def girth_around(
     faces: np.ndarray, rest: RestState, vertices: np.ndarray, *, y: float, middle: np.ndarray
 ) -> float | None:
     """Returns the length [m], without stress as in ``rest``, of the longest closed ring of cloth at the height ``y``
-    [m] around the point ``middle`` (x, z) [m].
-
-    None where there is no closed ring: the garment ends above or below, or is open there.
-    """
+    [m] around the point ``middle`` (x, z) [m]. None where there is no closed ring: the garment ends above or below, or
+    is open there."""
     section = level_section(faces, vertices, y)
     around = [ring for ring in closed_rings(section, vertices) if _encloses(ring, middle)]
     if not around:

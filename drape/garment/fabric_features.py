@@ -28,12 +28,9 @@ def warp_directions(rest: RestState, vertices: np.ndarray, faces: np.ndarray) ->
 
 def patch_grain(atlas: Atlas, vertices: np.ndarray, faces: np.ndarray, warp: np.ndarray) -> np.ndarray:
     """Returns (cos 2a, sin 2a) (K, 2) float32 for each patch of ``atlas``, where a is the angle from its u axis to the
-    warp of its triangles.
-
-    It is the mean over the triangles by area, and is shorter than 1 where the grain turns within the patch. A warp and
-    its opposite count as the same. ``vertices`` [m] (V, 3), ``faces`` (F, 3), and ``warp`` (F, 3), a unit vector per
-    triangle.
-    """
+    warp of its triangles. It is the mean over the triangles by area, and is shorter than 1 where the grain turns within
+    the patch. A warp and its opposite count as the same. ``vertices`` [m] (V, 3), ``faces`` (F, 3), and ``warp`` (F,
+    3), a unit vector per triangle."""
     area = meshes.face_areas(np.asarray(vertices, dtype=np.float64), faces)
     turned = np.zeros((len(vertices), 3, 3))
     np.add.at(turned, faces.reshape(-1), np.repeat(area[:, None, None] * warp[:, :, None] * warp[:, None], 3, axis=0))
@@ -52,18 +49,16 @@ def rest_grain(garment: Garment) -> np.ndarray:
     vertices, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
     if garment.rest_edges is not None:
         warp = warp_directions(garment.rest_state(), vertices, faces)
-    else:  # as its rest state will have it, which takes longer to make
+    else:  # the same warp as in its rest state, which takes longer to make
         warp = read_grain(vertices, vertices, faces, corner_uv(garment.uv, garment.uv_faces, len(faces))).warp
     return patch_grain(garment, vertices, faces, warp)
 
 
 def encoder_features(garment: Garment, width: int, fabric: Fabric | None = None) -> np.ndarray:
     """Returns the input (K, ``width``) float32 of the garment encoder for the K patches of ``garment``: the patch
-    features and, if ``width`` has room for them, 12 features of the fabric.
-
-    ``fabric`` is the garment's own by default. Networks from before there were fabrics read the patch features alone.
-    Raises ``ArtifactError`` for any other width.
-    """
+    features and, if ``width`` has room for them, 12 features of the fabric. ``fabric`` is the garment's own by
+    default. Networks from before there were fabrics read the patch features alone. Raises ``ArtifactError`` for any
+    other width."""
     features = np.ascontiguousarray(garment.patch_features, dtype=np.float32)
     if features.shape[1] == width:
         return features
@@ -80,11 +75,9 @@ def encoder_features(garment: Garment, width: int, fabric: Fabric | None = None)
 
 def fabric_features(fabric: Fabric, grain: np.ndarray) -> np.ndarray:
     """Returns features (K, 12) float32 of ``fabric`` on K patches with ``grain`` (K, 2), as ``patch_grain`` returns it.
-
     They are logarithms, so that each doubling counts alike. Differences of warp and weft turn with twice the grain's
     angle, those of the bias with four times, so that the grain says nothing about cloth that is alike in all
-    directions.
-    """
+    directions."""
     two = np.asarray(grain, dtype=np.float64)
     four = np.stack([two[:, 0] ** 2 - two[:, 1] ** 2, 2.0 * two[:, 0] * two[:, 1]], axis=1)
     stretch = np.sqrt(fabric.warp_n_per_m * fabric.weft_n_per_m)

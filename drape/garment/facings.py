@@ -16,9 +16,9 @@ from drape.garment.walls import FACING, farther, opposite_faces, smoothed_sides
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import SearchedMesh
 
-SAMPLED_FACES, SAMPLED_SHARE = 1000, 0.01  # of most garments so few faces tell that nothing is turned in
-LEAST_M2 = 0.002  # of a facing; what is smaller is a hem, and does no harm
-BORDER_SHARE = 0.3  # of its rim
+SAMPLED_FACES, SAMPLED_SHARE = 1000, 0.01  # so few faces show of most garments that nothing is turned in
+LEAST_M2 = 0.002  # a smaller facing is a hem, and does no harm
+BORDER_SHARE = 0.3  # this share of a facing's rim is a border of the mesh
 
 
 def without_facings(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarray:

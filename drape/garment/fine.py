@@ -22,12 +22,10 @@ def has_finer(garment: Garment) -> bool:
 
 
 def fine_garment(garment: Garment) -> Garment:
-    """Returns ``garment`` with its subdivided mesh as the delivered one, under a digest of its own.
-
-    Its first vertices are the delivered ones, in their order. Texture coordinates are linear in every delivered
-    triangle, whose parts have its material; ``drawn`` is None. A garment that was not subdivided is returned as it is,
-    but for ``drawn``. Raises ``ArtifactError`` where ``fine_faces`` are no subdivision of ``faces``.
-    """
+    """Returns ``garment`` with its subdivided mesh as the delivered one, under a digest of its own. Its first vertices
+    are the delivered ones, in their order. Texture coordinates are linear in every delivered triangle, whose parts have
+    its material; ``drawn`` is None. A garment that was not subdivided is returned as it is, but for ``drawn``. Raises
+    ``ArtifactError`` where ``fine_faces`` are no subdivision of ``faces``."""
     if not has_finer(garment):
         return garment if garment.drawn is None else replace(garment, drawn=None)
     uv, uv_faces, per_face = np.asarray(garment.uv), garment.uv_faces, 1

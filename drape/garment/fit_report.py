@@ -23,7 +23,7 @@ from drape.garment.cache import Garment
 from drape.garment.ease import Ease, eases
 from drape.geometry.closest import signed_distance
 
-TOUCH_M = 0.008  # off the skin, within which cloth lies on it: it is kept 4 mm off, and the network is as good as that
+TOUCH_M = 0.008  # cloth this near lies on the skin: it is kept 4 mm off, and the network errs by as much
 REGIONS: dict[str, tuple[str, ...]] = {
     "neck": ("neck", "head"),
     "shoulders": ("left_collar", "right_collar"),
@@ -35,14 +35,14 @@ REGIONS: dict[str, tuple[str, ...]] = {
     "upper arms": ("left_shoulder", "right_shoulder"),
     "forearms": ("left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand"),
 }
-LEAST_AREA_M2 = 0.005  # of a region's cloth; a strip that a neighbour reaches over is no region
+LEAST_AREA_M2 = 0.005  # a region with less cloth is a strip of its neighbour's
 HIGH_SHARE = 0.95
 
-TIGHT, VERY_TIGHT = 0.03, 0.1  # mean stretch of a region
-HELD_SHARE = 0.2  # of a region, which must lie on the skin to be tight: cloth that hangs is stretched by its weight
-SMALL_M = 0.005  # by which a garment must be smaller than the body before it is said
-LOOSE_SHARE = 0.12  # of the body's girth, from which ease is loose
-LOOSE_GAP_M = 0.03  # mean distance from the skin of limbs, which have no measured girth
+TIGHT, VERY_TIGHT = 0.03, 0.1  # mean strain of a region
+HELD_SHARE = 0.2  # a tight region lies on the skin with this share: cloth that hangs is stretched by its weight
+SMALL_M = 0.005  # a garment is too small if it is smaller than the body by more
+LOOSE_SHARE = 0.12  # ease above this share of the body's girth is loose
+LOOSE_GAP_M = 0.03  # mean distance from the skin above which limbs, whose girth is not measured, are loose
 _LIMBS = ("thighs", "lower legs", "upper arms", "forearms")
 _ROUND = {"chest_m": "chest", "waist_m": "waist", "hip_m": "hips"}
 
@@ -75,9 +75,7 @@ class FitReport(NamedTuple):
 class JudgedDrape(NamedTuple):
     """A drape whose fit is reported, on a body of the shape ``betas``: its vertices ``vertices`` [m] (N, 3) in the rest
     pose, and ``posed`` [m] (N, 3) in the pose ``pose`` (24, 3) [rad]. The vertices are all those of ``fine_faces``.
-
-    ``pose`` and ``posed`` are None if the report is about the rest pose.
-    """
+    ``pose`` and ``posed`` are None if the report is about the rest pose."""
 
     betas: np.ndarray
     vertices: np.ndarray
@@ -119,10 +117,8 @@ def regions_of(garment: Garment, body: BodyModel) -> np.ndarray:
 def region_figures(
     named: np.ndarray, area: np.ndarray, tension: Tension, *, touching: np.ndarray, gap_m: np.ndarray
 ) -> dict[str, Region]:
-    """Returns the figures of each region with at least ``LEAST_AREA_M2`` of cloth, by its name.
-
-    Per vertex (N,): ``named``, the number of its region; ``area`` [m^2]; ``touching`` bool; ``gap_m``; and ``tension``.
-    """
+    """Returns the figures of each region with at least ``LEAST_AREA_M2`` of cloth, by its name. Per vertex (N,):
+    ``named``, the number of its region; ``area`` [m^2]; ``touching`` bool; ``gap_m``; and ``tension``."""
     regions = {}
     for number, name in enumerate(REGIONS):
         rows = named == number

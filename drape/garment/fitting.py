@@ -166,11 +166,8 @@ def _cluster_mean(label: np.ndarray, area: np.ndarray, values: np.ndarray, count
 
 def fit_jets(uv: np.ndarray, height: np.ndarray, blend: charts.ChartBlend, count: int) -> np.ndarray:
     """Returns the rest jets (K, 27) of ``count`` patches [patch scales]: in the plane the identity, in height a ridge
-    least-squares 4-jet (Cazals and Pouget 2003).
-
-    ``uv`` (N, 4, 2) and ``height`` (N, 4) are the places of vertices in their charts [patch scales]; they weigh as in
-    ``blend``.
-    """
+    least-squares 4-jet (Cazals and Pouget 2003). ``uv`` (N, 4, 2) and ``height`` (N, 4) are the places of vertices in
+    their charts [patch scales]; they weigh as in ``blend``."""
     basis = jets.basis(uv, jets.HEIGHT_ORDER).reshape(-1, jets.HEIGHT_COUNT)
     height, root = height.reshape(-1), np.sqrt(blend.weight).reshape(-1)
     jet = np.zeros((count, jets.JET_COUNT))

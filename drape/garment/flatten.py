@@ -26,18 +26,15 @@ TIGHT, LOOSE = ((10.0, (2,)),), ((1.0, (1, 1, 1, 1, 1, 1)), (0.0, (1, 1, 1, 1, 1
 # Then places go back to the projection wherever it does not fold. Triangles keep this share of their area; the share of
 # the way back changes by at most so much per patch scale along an edge.
 RETURN_AREA, RETURN_SLOPE, RETURN_ROUNDS = 0.2, 1.0, 40
-WORSE = 1.5  # the misfit of places that were found for the same cloth on another body, over the one there
-RING_SHARE = 0.3  # a second rim this long, of the first, means that the piece runs round a limb
-DENSE = 200  # unknowns up to which a dense matrix is solved sooner than a sparse one
-CUT_FLOOR = 0.02  # weight that a cut costs where the chart has none, so that cuts stay short
+WORSE = 1.5  # largest misfit of places taken from the same cloth on another body, over their misfit there
+RING_SHARE = 0.3  # a second rim this long, over the first, means that the piece runs around a limb
+DENSE = 200  # up to so many unknowns a dense matrix is solved sooner than a sparse one
+CUT_FLOOR = 0.02  # what a cut costs where the chart has no weight, so that cuts stay short
 
 
 def rims_cross(uv: np.ndarray, triangles: np.ndarray) -> bool:
     """Returns whether two boundary edges of ``triangles`` (T, 3) cross in the plane, where their vertices are at ``uv``
-    (n, 2).
-
-    A disc with no triangle upside down covers no point of the plane twice unless its rim crosses itself.
-    """
+    (n, 2). A disc with no triangle upside down covers no point of the plane twice unless its rim crosses itself."""
     return edges_cross(uv, meshes.boundary_edges(triangles))
 
 
@@ -61,12 +58,9 @@ def lay_flat(
     points: np.ndarray, plane: np.ndarray, triangles: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Returns the rows (m,) of ``points`` (n, 3) that are kept, and their positions (m, 2) in the plane, where no two
-    triangles overlap. None where no disc is left to lay out.
-
-    ``plane`` (n, 2): positions to stay near. ``weight`` (n,): the weight of each vertex in the chart; a piece that is
-    no disc is cut where it is small. Vertices of cuts and of smaller pieces are left out, and those where parts touch
-    by a corner.
-    """
+    triangles overlap. None where no disc is left to lay out. ``plane`` (n, 2): positions to stay near. ``weight`` (n,):
+    the weight of each vertex in the chart; a piece that is no disc is cut where it is small. Vertices of cuts and of
+    smaller pieces are left out, and those where parts touch by a corner."""
     disc = _largest_piece(triangles)
     while len(disc):
         rims = meshes.boundary_loops(disc)
@@ -137,10 +131,8 @@ def lay_alike(
     placed: np.ndarray, before: np.ndarray, points: np.ndarray, triangles: np.ndarray, weight: np.ndarray
 ) -> np.ndarray | None:
     """Returns positions (n, 2) in the plane for ``points`` (n, 3), near ``placed`` (n, 2), where an earlier state
-    ``before`` (n, 3) of the same cloth was laid.
-
-    None if the cloth folds over there, as in caches of before charts were laid flat, or if jets fit it clearly worse.
-    """
+    ``before`` (n, 3) of the same cloth was laid. None if the cloth folds over there, as in caches of before charts were
+    laid flat, or if jets fit it clearly worse."""
     settled = _settled(placed, points[:, :2], points, triangles)
     folds = (meshes.signed_areas(settled, triangles) <= 0.0).any() or (
         settled is placed and rims_cross(placed, triangles)
@@ -167,7 +159,7 @@ def _returned(placed: np.ndarray, target: np.ndarray, surface: np.ndarray, trian
     share = np.ones(len(placed))
     for _ in range(RETURN_ROUNDS):
         moved = placed + share[:, None] * (target - placed)
-        moved = moved.astype(np.float32).astype(np.float64)  # as caches store them
+        moved = moved.astype(np.float32).astype(np.float64)  # the precision of caches
         bad = meshes.signed_areas(moved, triangles) <= least
         if not bad.any():
             return moved

@@ -10,12 +10,12 @@ from drape.cloth.rest_state import UP, grain_along
 from drape.errors import InputError
 from drape.geometry import mesh_graphs, meshes
 
-STRETCH_LIMIT = 1.15  # both singular values of uv -> cloth lie within this of the mesh's scale ...
-FLAT_SHARE = 0.8  # ... over this share of its area, and an island is a flattening; sleeves of a worn shirt: 0.85
-TURNED = 0.2  # by how much more upright u must run than v, on the mean, for an island to be laid out on its side
-METRIC_LIMIT = 0.05  # uv whose scale is so near to one metre are in metres
-UNIT_LIMIT = 1.5  # cloth is worn at most this many times as large as its panels: the next unit is farther off
-SAME_UV = 1e-6  # of the uv's extent
+STRETCH_LIMIT = 1.15  # in a flattening both singular values of uv -> cloth are within this of the mesh's scale
+FLAT_SHARE = 0.8  # share of an island's area on which they must; sleeves of a worn shirt have 0.85
+TURNED = 0.2  # an island lies on its side if u runs more upright than v by this, on the mean
+METRIC_LIMIT = 0.05  # uv whose scale differs from one metre by less are in metres
+UNIT_LIMIT = 1.5  # worn cloth is at most this many times as large as its panels; the next unit is farther off
+SAME_UV = 1e-6  # of the extent of uv: coordinates this near are the same
 SMALLEST_AREA_SHARE = 1e-6  # of the mean triangle in uv; below it a triangle says nothing of the grain
 
 
@@ -53,27 +53,20 @@ class Grain:
 def corner_uv(uv: np.ndarray, uv_faces: np.ndarray, face_count: int) -> CornerUv | None:
     """Returns the texture coordinates ``uv`` (T, 2), ``uv_faces`` (F, 3) at the corners of the ``face_count`` triangles
     into which the F delivered ones are subdivided, in the order of ``meshes.subdivide``. They are linear in every
-    delivered triangle.
-
-    None without texture coordinates, or where ``face_count`` is not F times a power of 4.
-    """
+    delivered triangle. None without texture coordinates, or where ``face_count`` is not F times a power of 4."""
     if not len(uv_faces):
         return None
-    corners = np.asarray(uv, dtype=np.float64)[uv_faces]
-    rounds = 0
-    while len(corners) < face_count:
-        a, b, c = np.moveaxis(corners, 1, 0)
-        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
-        split = [[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]]
-        corners = np.stack([np.stack(corner, axis=1) for corner in split], axis=1).reshape(-1, 3, 2)
-        rounds += 1
-    if len(corners) != face_count:
+    points, triangles = np.asarray(uv, dtype=np.float64), uv_faces.astype(np.int64)
+    while len(triangles) < face_count:
+        points, triangles, _ = meshes.subdivide(points, triangles)
+    if len(triangles) != face_count:
         return None
     # A GLB splits vertices at hard edges too: an island ends where uv do.
     _, place = np.unique(uv, axis=0, return_inverse=True)
     welded = place.reshape(-1)[uv_faces]
     island = mesh_graphs.connected_components(welded, len(uv))[welded[:, 0]]
-    return CornerUv(corners, np.unique(np.repeat(island, 4**rounds), return_inverse=True)[1].reshape(-1))
+    island = np.unique(np.repeat(island, face_count // len(uv_faces)), return_inverse=True)[1].reshape(-1)
+    return CornerUv(points[triangles], island)
 
 
 def read_grain(
@@ -112,7 +105,7 @@ def read_grain(
     inverse = np.zeros_like(edges)
     inverse[sound] = np.linalg.inv(edges[sound])
     slope = _slope(modelled, faces, inverse)
-    scale = _median(np.sqrt(2.0 * area[sound] / np.abs(double[sound])), area[sound])
+    scale = weighted_median(np.sqrt(2.0 * area[sound] / np.abs(double[sound])), area[sound])
     large, small = _singular_values(slope)
     if uv_unit_m is not None and not 1.0 / UNIT_LIMIT < scale / uv_unit_m < UNIT_LIMIT:
         raise InputError(
@@ -172,7 +165,8 @@ def _gram(slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return (u * u).sum(axis=1), (u * v).sum(axis=1), (v * v).sum(axis=1)
 
 
-def _median(values: np.ndarray, weights: np.ndarray) -> float:
+def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
+    """Returns the least of ``values`` (n,) up to which half of the sum of ``weights`` (n,) is reached."""
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(total, 0.5 * total[-1])])

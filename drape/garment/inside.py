@@ -20,17 +20,17 @@ from drape.garment.contours import LIMBS, TRUNK, Contour, bone_chains, borders, 
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.registration import FREE_JOINTS, parameter_jacobian, posed_by, posed_normals, unpack_parameters
 
-BAND_M = 0.15  # from the top of a garment: there it hangs on the body; all of ours lie 7 to 10 mm from the skin
-BAND_PULL = 4.0  # of cloth outside in that band, against other cloth outside
-LYING_GAP_M = 0.004  # between skin and cloth that lies on it
+BAND_M = 0.15  # a garment hangs on the body in this band at its top; shipped ones lie 7 to 10 mm from the skin there
+BAND_PULL = 4.0  # pull of cloth outside the skin in that band, over that of other cloth outside
+LYING_GAP_M = 0.004  # distance from the skin of cloth that lies on it
 LYING_SHARE, LYING_MOST_M, LOCK_REACH_M = 0.4, 0.008, 0.006
-PULL, PULL_REACH_M = 0.1, 0.03  # of cloth outside, against cloth inside; halved at that distance
-CUFF = 0.2  # of a square metre between a cuff's middle and the limb's bone
-SHAPE_PRIOR_M, POSE_PRIOR_M, LIMB_PRIOR_M = 1e-3, 1.5e-2, 3e-3  # root mean square that a beta, or a radian, is worth
+PULL, PULL_REACH_M = 0.1, 0.03  # pull of cloth outside, over that of cloth inside; it is half at that distance
+CUFF = 0.2  # cost of the squared distance between a cuff's middle and the limb's bone
+SHAPE_PRIOR_M, POSE_PRIOR_M, LIMB_PRIOR_M = 1e-3, 1.5e-2, 3e-3  # root of the cost of one beta, and of one radian
 LIMB_JOINTS = ("collar", "shoulder", "elbow", "hip", "knee")  # a sleeve without an elbow would go through its arm
 ROOT_PRIOR_M = 0.03
 PLACE_PRIOR_M = np.full(3, 1e-4)
-FLOOR = 0.05  # of a square metre between the sole and the floor
+FLOOR = 0.05  # cost of the squared distance between the sole and the floor
 STEPS = 25
 AGREEMENT = 0.2
 

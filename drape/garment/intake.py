@@ -50,10 +50,10 @@ from drape.garment.sheets import with_used_vertices
 from drape.garment.strays import without_strays
 from drape.garment.wearer_pictures import pictured
 
-# Raised when cloth that was not modelled on the standard body comes to rest otherwise, as when another wearer is found.
+# Raised when garments change that were not modelled on the standard body, as when another wearer is found.
 MOVED_VERSION = 10
 INTAKE_VERSION = 5  # raised when a change here changes the garments that come out
-_LATE_OPTIONS = ("patches", "rest", "fabric", "uv_unit_m")  # at their defaults they leave older digests as they were
+_LATE_OPTIONS = ("patches", "rest", "fabric", "uv_unit_m")  # at their defaults they leave older digests unchanged
 
 Report = Callable[[str], None]
 STAGES = ("read", "rest", "fit", "cloth", "store")
@@ -84,7 +84,7 @@ def garment_digest(
         "name": name,
         "avatar": avatar,
         "body": body.digest,
-        "options": chosen | {"repair": False, "clearance_m": CLEARANCE_M},  # the first: as in older digests
+        "options": chosen | {"repair": False, "clearance_m": CLEARANCE_M},  # older digests hold a repair option
         "versions": [FORMAT_VERSION, INTAKE_VERSION],
     }
     if avatar != avatars.STANDARD:
@@ -92,7 +92,7 @@ def garment_digest(
     if looks:
         header["looks"] = looks
     if sewn is not None:
-        header["sewing"] = replace(sewn, figures={}).to_json()  # how long it took makes no other garment
+        header["sewing"] = replace(sewn, figures={}).to_json()  # figures of the making change no garment
     return hashlib.sha256(json.dumps(header, sort_keys=True).encode() + b"\0" + payload).hexdigest()
 
 
@@ -108,10 +108,8 @@ def garment_name(text: str) -> str:
 
 
 def intake(source: Path | bytes, **asked: Any) -> Garment:
-    """Returns one garment made of all that a mesh file holds, at rest on the standard body.
-
-    Arguments, what is stored and what is raised are those of ``intake_outfit``.
-    """
+    """Returns one garment made of all that a mesh file holds, at rest on the standard body. Arguments, what is stored
+    and what is raised are those of ``intake_outfit``."""
     (garment,) = intake_outfit(source, whole=True, **asked)
     return garment
 
@@ -157,7 +155,7 @@ def intake_outfit(
     return garments
 
 
-HERE = {"unit": "m", "up": "y", "facing": "z", "trans": [0.0, 0.0, 0.0]}  # of a mesh that lies on its body already
+HERE = {"unit": "m", "up": "y", "facing": "z", "trans": [0.0, 0.0, 0.0]}  # for a mesh that lies on its body
 
 
 def intake_mesh(mesh: GarmentMesh, body: BodyModel, *, digest: str) -> Garment:
@@ -235,8 +233,7 @@ def _garments_of(
     cloth = {"sewn": sewn is not None, "carriers": carriers if len(parts) == 1 else None}
     sides = [outer] if outer is None or len(parts) == 1 else [outer[label == number] for number in range(layers)]
     rests = forked.each(
-        lambda own: rest_mesh(own[0][0], model, body, options, sheets=own[0][1], outer=own[1], **cloth),
-        list(zip(parts, sides, strict=True)),
+        lambda own: rest_mesh(*own[0], model, body, outer=own[1], **cloth), list(zip(parts, sides, strict=True))
     )
     begins("fit")
 

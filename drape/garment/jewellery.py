@@ -25,19 +25,19 @@ from drape.garment.wearer_fields import BENT_RAD, SHAPES, cloth_points, known_pa
 from drape.garment.wearer_reading import USUAL_FRONTS, Reading, WearerCandidate, readings_of
 from drape.geometry import mesh_graphs, meshes
 
-COUNT = 400  # points on a thing
-EXTENT_M, ON_HAND_M = (0.04, 0.35), 0.012  # of a thing; a ring is smaller
-ON_SKIN_M, NEAR_SKIN_M = 0.015, 0.08  # mean distance from the skin, and before the arms' pose is known
-TOGETHER_M = 0.02  # what is this near to each other is one thing
-# The bones that carry what lies on another's skin, and how much of a thing must lie on the neck, which turns.
+COUNT = 400  # points on a piece of jewellery
+EXTENT_M, ON_HAND_M = (0.04, 0.35), 0.012  # extents of jewellery; a ring is smaller
+ON_SKIN_M, NEAR_SKIN_M = 0.015, 0.08  # largest mean distance from the skin, and while the arms' pose is not known
+TOGETHER_M = 0.02  # points this near to each other are one thing
+# Bones that carry what lies on the skin of another. The neck, which turns, carries what lies on it with NECK_SHARE.
 CARRIED_BY = {f"{side}_{bone}": by for side in ("left", "right") for bone, by in (
     ("collar", "spine3"), ("hand", f"{side}_wrist"), ("foot", f"{side}_ankle"))}  # fmt: skip
 NECK_SHARE = 0.8
-ARMS_M = 0.12  # from the middle: what lies nearer is on no arm
-LIFTS_RAD, BENDS_RAD = np.arange(0.0, 1.5, 0.25), (0.0, BENT_RAD)  # arms that are tried
+ARMS_M = 0.12  # what is nearer to the body's middle plane is on no arm
+LIFTS_RAD, BENDS_RAD = np.arange(0.0, 1.5, 0.25), (0.0, BENT_RAD)  # poses of the arms that are tried
 FINER_RAD = np.arange(-0.12, 0.121, 0.04)
-INSIDE, FREE_M = 3.0, 0.003  # what a point in the skin counts, and how far off is what lies on it
-BULKY = 1000.0  # area of one side over thickness squared: solids that have less are no cloth, which has thousands
+INSIDE, FREE_M = 3.0, 0.003  # factor on the distance of points in the skin; distance that counts as none
+BULKY = 1000.0  # area of one side over thickness squared: cloth has thousands, bulky solids have less than this
 SURE, TRIED = 0.7, 4
 
 

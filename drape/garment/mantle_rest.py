@@ -31,9 +31,9 @@ from drape.geometry.rotations import matrix_to_rotvec
 from drape.geometry.skinning import skin_points
 from drape.geometry.symmetric import symmetric_factor
 
-STEP_RAD, STEPS, LAST_STEPS = 0.17, 15, 50  # the most that a joint turns at once, and steps of the cloth then
+STEP_RAD, STEPS, LAST_STEPS = 0.17, 15, 50  # most that a joint turns at once; steps of the cloth after it
 HOLDING = [JOINT_NAMES.index(name) for name in ("spine3", "neck", "head")]
-SHARE_STIFFNESS_M2 = 0.01  # of a share's change along an edge, beside squares of ways that shares make
+SHARE_STIFFNESS_M2 = 0.01  # smoothness of arm shares: cost of a share's change along an edge
 LEAST_M2 = 1e-4
 
 

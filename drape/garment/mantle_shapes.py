@@ -18,8 +18,8 @@ from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.garment.skin import BodyBinding
 from drape.geometry.skinning import skin_points
 
-COLLAR = 0.2  # of an arm's turn
-MIDDLE_M = 0.15  # on either side of the middle a vertex follows both arms
+COLLAR = 0.2  # the collar bone's share of an arm's turn
+MIDDLE_M = 0.15  # within this distance of the middle plane a vertex follows both arms
 SIDES = {"left": 1.0, "right": -1.0}
 
 
@@ -28,9 +28,9 @@ def _along(down_deg: float, forward_deg: float) -> tuple[float, float, float]:
     return (np.cos(down) * np.cos(forward), -np.sin(down), np.cos(down) * np.sin(forward))
 
 
-# Of the left upper arm, left, up and forward: hanging, in A-pose, spread, up, and before the body, low and high.
+# Directions (left, up, forward) of the left upper arm: hanging, in A-pose, spread, up, and in front, low and high.
 DIRECTIONS = np.array([_along(75, 0), _along(40, 0), _along(0, 0), _along(-50, 0), _along(45, 70), _along(0, 75)])
-SPREAD = 2  # the rest
+SPREAD = 2  # the row of DIRECTIONS that is the rest pose
 
 
 def pose_of(direction: np.ndarray) -> np.ndarray:
@@ -64,11 +64,8 @@ def shares_of(rotations: np.ndarray) -> np.ndarray:
 
 def shaped(rest: np.ndarray, ways: np.ndarray, rotations: np.ndarray) -> np.ndarray:
     """Returns the vertices [m] (F, N, 3) of a mantle in T-pose before skinning, for F frames with bone rotations
-    ``rotations`` (F, 24, 3, 3).
-
-    ``rest`` [m] (N, 3): its vertices at rest. ``ways`` [m] (N, K, 3): their displacements from there for arms along
-    each of the K ``DIRECTIONS``.
-    """
+    ``rotations`` (F, 24, 3, 3). ``rest`` [m] (N, 3): its vertices at rest. ``ways`` [m] (N, K, 3): their displacements
+    from there for arms along each of the K ``DIRECTIONS``."""
     shares = shares_of(rotations)
     across = np.clip(0.5 + 0.5 * rest[:, 0] / MIDDLE_M, 0.0, 1.0)
     left = across * across * (3.0 - 2.0 * across)

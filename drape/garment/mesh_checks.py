@@ -26,13 +26,13 @@ UP_AXES = ("y", "z")
 Unit = Literal["auto", "m", "cm", "dm", "mm", "inch"]
 Up = Literal["auto", "y", "z"]
 VERTEX_MINIMUM = 24
-AREA_MINIMUM = 0.02  # m^2: less cloth than a glove
+AREA_MINIMUM = 0.02  # m^2, less cloth than a glove has
 EXTENT_M = (0.015, 2.6)
 FLAT_ALTITUDE = 1e-5  # a triangle lower than this share of its longest edge has no normal
 # Misfit of the seven real garments on their own avatars: 0.01 to 0.06; in another unit or far away: from 0.07.
 MISFIT_LIMIT, MISFIT_LIMIT_UNNAMED = 0.25, 0.06
-PLAIN_PREFERENCE = 1.5  # metres, y up wins over a reading that fits better by less than this
-RIVAL_MARGIN = 1.25  # two units that fit as equally as this cannot be told apart
+PLAIN_PREFERENCE = 1.5  # metres, y up wins over a reading that fits better by less than this factor
+RIVAL_MARGIN = 1.25  # units whose misfits differ by less than this factor cannot be told apart
 SKIN_DEPTH_M = 0.008  # garments as delivered cut this deep into their avatar
 SAMPLE_COUNT = 600
 
@@ -57,23 +57,10 @@ class Placement:
         return points + np.array([0.0, avatar.vertices[:, 1].min(), 0.0]) if self.floor else points
 
 
-def check_mesh(
-    mesh: GarmentMesh,
-    avatar: Avatar,
-    *,
-    unit: Unit = "auto",
-    up: Up = "auto",
-    named: bool = True,
-    placed: bool = False,
-    carried: bool = False,
-) -> GarmentMesh:
-    """Returns ``mesh`` on ``avatar`` in metres, y up, wound consistently with normals outward, with notes. Vertices
-    keep their order and number.
-
-    ``placed``: the mesh is checked and lies on its avatar in metres already. ``named``: somebody named the avatar.
-    ``carried``: bones carry it, so it may be smaller than cloth. Raises ``MeshError`` for a mesh that cannot be cloth.
-    """
-    mesh = mesh if placed else place_on_avatar(check_surface(mesh), avatar, unit=unit, up=up, named=named)
+def check_mesh(mesh: GarmentMesh, avatar: Avatar, *, carried: bool = False) -> GarmentMesh:
+    """Returns ``mesh``, which lies on ``avatar`` in metres, y up, wound consistently with normals outward, and with
+    notes (``describe``). Vertices keep their order and number. ``carried``: bones carry the mesh rigidly, so it may be
+    smaller than cloth. Raises ``MeshError`` for a one-sided surface, and for less area than a garment has."""
     mesh = orient_outward(mesh, avatar)
     if not carried:
         check_area(mesh, "garment area")
@@ -81,11 +68,8 @@ def check_mesh(
 
 
 def check_surface(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` without faces that have no area or repeat another.
-
-    Raises ``MeshError`` where it is empty or too large, a number is not finite, an index is out of range, or an edge
-    has more than two faces.
-    """
+    """Returns ``mesh`` without faces that have no area or repeat another. Raises ``MeshError`` where it is empty or too
+    large, a number is not finite, an index is out of range, or an edge has more than two faces."""
     check_arrays(mesh, vertex_limit=2 * VERTEX_LIMIT)
     mesh = without_flat_faces(mesh)
     check_edges(mesh)
@@ -174,11 +158,9 @@ def place_on_avatar(
     mesh: GarmentMesh, avatar: Avatar, *, unit: Unit = "auto", up: Up = "auto", named: bool = True
 ) -> GarmentMesh:
     """Returns ``mesh`` in metres, y up, in the coordinates of ``avatar``: with the unit, up axis and origin in which it
-    fits the avatar best; ``unit`` and ``up`` fix the first two.
-
-    Metres, y up, at the avatar's origin win unless others fit clearly better. Unless somebody ``named`` the avatar the
-    garment must fit it closely. Raises ``MeshError`` where nothing fits, or two units fit equally.
-    """
+    fits the avatar best; ``unit`` and ``up`` fix the first two. Metres, y up, at the avatar's origin win unless others
+    fit clearly better. Unless somebody ``named`` the avatar the garment must fit it closely. Raises ``MeshError`` where
+    nothing fits, or two units fit equally."""
     check_options(unit, up)
     used = np.unique(mesh.faces)
     sample = mesh.vertices[used[:: max(1, len(used) // SAMPLE_COUNT)]]
@@ -220,22 +202,17 @@ def place_on_avatar(
 
 def check_options(unit: str, up: str) -> None:
     """Raises ``MeshError`` for an unknown ``unit`` or ``up`` axis."""
-    _check_option("unit", unit, ("auto", *UNITS_M))
-    _check_option("up", up, ("auto", *UP_AXES))
-
-
-def _check_option(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise MeshError(name, expected=f"one of {', '.join(allowed)}", got=repr(value), cure="Correct the option.")
+    for name, value, known in (("unit", unit, UNITS_M), ("up", up, UP_AXES)):
+        if value not in ("auto", *known):
+            expected = f"one of {', '.join(('auto', *known))}"
+            raise MeshError(name, expected=expected, got=repr(value), cure="Correct the option.")
 
 
 def misfit(points: np.ndarray, avatar: Avatar, normals: np.ndarray) -> float:
     """Returns how badly cloth at ``points`` [m] (N, 3) lies around ``avatar``, whose vertices have ``normals`` (V, 3):
-    0 on the skin, infinite if the extent of the points is outside ``EXTENT_M``.
-
-    It is the mean distance from the skin, plus four times the depth below ``SKIN_DEPTH_M`` inside it, over the extent.
-    A garment read too small is near the skin only because it is small; the division by its extent makes up for that.
-    """
+    0 on the skin, infinite if the extent of the points is outside ``EXTENT_M``. It is the mean distance from the skin,
+    plus four times the depth below ``SKIN_DEPTH_M`` inside it, over the extent. A garment read too small is near the
+    skin only because it is small; the division by its extent makes up for that."""
     extent = float(np.ptp(points, axis=0).max())
     if not EXTENT_M[0] <= extent <= EXTENT_M[1]:
         return float("inf")

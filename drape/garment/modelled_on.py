@@ -23,12 +23,9 @@ def modelled_on(
     mesh: GarmentMesh, body: BodyModel, options: IntakeOptions, meaning: Any = None
 ) -> tuple[GarmentMesh, Avatar, WearerCandidate | None]:
     """Returns ``mesh``, checked, in metres in the coordinates of its avatar; that avatar; and the body that was found
-    in the cloth, None where the avatar was named or is the standard body.
-
-    ``meaning``: what ``avatars.parse_avatar`` returns, whose dictionary may also state unit and axes of the file
-    (``reading_hints``). Raises ``MeshError`` where the mesh is no cloth or no human body fits in it, and ``BodyError``
-    for an avatar that is not a body.
-    """
+    in the cloth, None where the avatar was named or is the standard body. ``meaning``: what ``avatars.parse_avatar``
+    returns, whose dictionary may also state unit and axes of the file (``reading_hints``). Raises ``MeshError`` where
+    the mesh is no cloth or no human body fits in it, and ``BodyError`` for an avatar that is not a body."""
     check_options(options.unit, options.up)
     hints, meaning = reading_hints(meaning)
     checked = check_surface(mesh)
@@ -40,7 +37,7 @@ def modelled_on(
         worn = worn_by(checked, body, options, hints)
     placed, avatar, wearer = worn
     keep = without_pits(placed.vertices, placed.faces, body.regressor @ avatar.vertices)
-    if not keep.all():  # what is delivered stays in its places, as ``join_sheets`` has it
+    if not keep.all():  # delivered vertices stay in their rows, as in ``join_sheets``
         cut, count = with_used_vertices(placed.take_faces(keep)), len(placed.vertices)
         placed = replace(cut, vertices=np.concatenate([placed.vertices, cut.vertices]), faces=cut.faces + count)
         placed = placed.noted(f"{int((~keep).sum())} faces close ends of tubes in pits")

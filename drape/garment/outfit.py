@@ -21,10 +21,10 @@ from drape.geometry import meshes
 from drape.geometry.closest import closest_point, on_border
 
 MOST = 4  # layers that an outfit may have
-OWN_M2, OWN_SHARE = 0.03, 0.06  # of the largest: smaller pieces are no garments
-SEWN_M, SEWN_SHARE = 0.004, 0.3  # of a piece's border that lies on another's
-OVER_M = 0.06  # cloth within this over other cloth is felt by it
-LEVEL_SHARE = 0.7  # of the heights that two pieces side by side have in common
+OWN_M2, OWN_SHARE = 0.03, 0.06  # a garment's least area, also over that of the largest piece
+SEWN_M, SEWN_SHARE = 0.004, 0.3  # share of a piece's border that lies on another's, if they are sewn
+OVER_M = 0.06  # cloth this near over other cloth decides which is the outer one
+LEVEL_SHARE = 0.7  # a pair has this share of its height in common
 SAMPLES = 400
 
 
@@ -36,7 +36,7 @@ def garments_in(sheets: GarmentMesh, skin: np.ndarray, body: BodyModel) -> np.nd
     own = bears & (area > max(OWN_M2, OWN_SHARE * area.max()))
     group = np.arange(len(area))
     numbers = np.flatnonzero(own)
-    pieces = numbers if len(numbers) > 1 else ()  # nothing is asked of one alone
+    pieces = numbers if len(numbers) > 1 else ()  # a single piece needs no comparison
     carried = {number: bool(accessory_of(sheets.take_faces(piece == number), skin, body)) for number in pieces}
     for i, a in enumerate(numbers):
         for b in numbers[:i]:

@@ -20,20 +20,17 @@ from drape.garment.sheets import cut_branches
 from drape.garment.walls import outer_sides
 from drape.geometry import mesh_graphs, meshes
 
-SEAM_M = 0.003  # between the borders of two pieces
-NEIGHBOURS = 6  # of a border's vertex that are looked at, until one is of another piece
-SEAM_SHARE = 0.05  # of a piece's border that runs along the others'
-END = 0.05  # of an edge: a vertex nearer to its end, or to the one before, does not cut it
+SEAM_M = 0.003  # most distance between the borders of sewn pieces
+NEIGHBOURS = 6  # so many neighbours of a border's vertex are searched for one of another piece
+SEAM_SHARE = 0.05  # share of a piece's border that runs along others', if it is sewn
+END = 0.05  # a vertex nearer than this share of an edge to its end, or to another cut, does not cut it
 
 
 def with_sewn_panels(sheets: GarmentMesh, skin: np.ndarray) -> tuple[GarmentMesh, np.ndarray]:
     """Returns ``sheets`` [m] (``join_sheets``) with the panels of a pattern sewn to each other, and for each of its
-    faces whether it is an outer side, bool (F,) (``walls.outer_sides``).
-
-    Inner sides of walls are left out of what is sewn. If no two pieces have a seam, ``sheets`` themselves are returned.
-    Vertices keep their places and their order; those that were joined follow them. ``skin`` [m] (S, 3): points of the
-    body inside.
-    """
+    faces whether it is an outer side, bool (F,) (``walls.outer_sides``). Inner sides of walls are left out of what is
+    sewn. If no two pieces have a seam, ``sheets`` themselves are returned. Vertices keep their places and their order;
+    those that were joined follow them. ``skin`` [m] (S, 3): points of the body inside."""
     points = sheets.vertices
     outer = outer_sides(points, sheets.faces, KDTree(skin))
     faces = sheets.faces[outer]
@@ -58,7 +55,7 @@ def _with_split_borders(mesh: GarmentMesh, piece: np.ndarray) -> GarmentMesh:
     uv, count = [mesh.uv], len(mesh.uv)
     for half, inserted in sorted(_vertices_on_borders(mesh, halves, piece).items(), key=lambda item: -len(item[1])):
         face, corner = divmod(half, 3)
-        if face in used:  # of a face with two such edges one is cut
+        if face in used:  # a face with two such edges is cut at one
             continue
         used.add(face)
         start, end, top = halves[half]

@@ -31,11 +31,8 @@ def patch_count_for(area_m2: float, share: float = 1.0) -> int:
 
 def vertex_graph(vertices: np.ndarray, faces: np.ndarray) -> scipy.sparse.csr_matrix:
     """Returns the sparse symmetric matrix (N, N) of edge lengths [m], and of the lengths of the diagonals across each
-    edge.
-
-    A diagonal joins the two vertices opposite an edge by their straight distance. Diagonals take most of the direction
-    bias out of shortest paths on a triangle mesh.
-    """
+    edge. A diagonal joins the two vertices opposite an edge by their straight distance. Diagonals take most of the
+    direction bias out of shortest paths on a triangle mesh."""
     sides = np.concatenate([faces[:, [0, 1, 2]], faces[:, [1, 2, 0]], faces[:, [2, 0, 1]]])
     low, high = np.minimum(sides[:, 0], sides[:, 1]), np.maximum(sides[:, 0], sides[:, 1])
     key = low.astype(np.int64) * len(vertices) + high

@@ -49,12 +49,9 @@ def patch_features(
     body: BodyModel,
 ) -> np.ndarray:
     """Returns the features (K, D) float32 of K patches that the garment encoder reads; most distances are in
-    decimetres, so that entries are near one.
-
-    Of the patches in the body's frame: ``centre`` [m] (K, 3), ``rotation`` (K, 3, 3), ``scale`` (K,), ``jet`` (K, 27),
-    bone ``weights`` (K, 24), and ``seeds`` (K,), the vertex nearest to each centre. Of the garment: ``vertices`` [m]
-    (N, 3), ``faces`` (G, 3), and ``graph``, its ``vertex_graph``.
-    """
+    decimetres, so that entries are near one. Of the patches in the body's frame: ``centre`` [m] (K, 3), ``rotation``
+    (K, 3, 3), ``scale`` (K,), ``jet`` (K, 27), bone ``weights`` (K, 24), and ``seeds`` (K,), the vertex nearest to each
+    centre. Of the garment: ``vertices`` [m] (N, 3), ``faces`` (G, 3), and ``graph``, its ``vertex_graph``."""
     joints = body.joints_template
     local = np.einsum("kba,kjb->kja", rotation, joints[None] - centre[:, None])  # joints in the patch frame
     joint_offsets = saturated(local).reshape(len(centre), -1)

@@ -14,10 +14,10 @@ from drape.geometry.raster import SKIN, Paint, Surface, render
 CLOTH = (0.80, 0.80, 0.82)  # undyed: shade alone tells folds
 LIGHT = np.array([0.62, 0.42, 0.66]) / np.linalg.norm([0.62, 0.42, 0.66])  # from the side
 AZIMUTH_DEG, MARGIN = 15.0, 1.08
-FINER, FINE = 2, 512  # samples of a pixel along each side, of pictures up to that size
-COLOURS = 128  # of the palette
-TEXTURE_PX = 512  # finer than what is drawn of it
-SEEN = 0.1  # the least alpha that is drawn of what is not cut out
+FINER, FINE = 2, 512  # samples along each side of a pixel, in pictures up to that size
+COLOURS = 128  # colours of the palette
+TEXTURE_PX = 512  # finer textures would not show
+SEEN = 0.1  # blended cloth with less alpha is not drawn
 
 Mesh = tuple[np.ndarray, np.ndarray]
 """Vertices [m] (V, 3) and faces (F, 3)."""
@@ -114,7 +114,7 @@ def _sampled(texture: np.ndarray, look: Material, uv: np.ndarray) -> np.ndarray:
     (x, y), (sx, sy), (c, s) = look.offset, look.scale, (np.cos(look.rotation), np.sin(look.rotation))
     across, down = sx * uv[:, 0], sy * (1.0 - uv[:, 1])
     place = np.stack([c * across + s * down + x, c * down - s * across + y], axis=1)
-    place = np.nan_to_num(place - np.floor(place))  # what is far out of any picture is no number
+    place = np.nan_to_num(place - np.floor(place))  # coordinates far out of any picture give no number
     height, width = texture.shape[:2]
     column, row = np.minimum((place * (width, height)).astype(int), (width - 1, height - 1)).T
     return texture[row, column]

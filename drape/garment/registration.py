@@ -74,10 +74,8 @@ def register_body(
     vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, name: str = "avatar"
 ) -> tuple[np.ndarray, float]:
     """Returns the vertices [m] (V, 3) of ``body`` fitted to a surface and then drawn onto it, and the mean distance
-    [mm] of the surface from the fit. ``vertices`` [m] and ``faces`` are the surface's.
-
-    Raises ``BodyError`` for a distance above ``RESIDUAL_LIMIT_MM``, and for a surface of fewer than 500 vertices.
-    """
+    [mm] of the surface from the fit. ``vertices`` [m] and ``faces`` are the surface's. Raises ``BodyError`` for a
+    distance above ``RESIDUAL_LIMIT_MM``, and for a surface of fewer than 500 vertices."""
     fit = fit_body(vertices, faces, body, name=name)
     fitted = body.posed_vertices(fit.pose[None], fit.trans[None], fit.betas)[0]
     return _snap(fitted, body, _Target(vertices, faces)), fit.residual_mm
@@ -151,7 +149,7 @@ def _fit(body: BodyModel, target: _Target, lift_rad: float) -> tuple[np.ndarray,
         gap = posed[index] - goal
         robust = 1.0 / (1.0 + np.einsum("nc,nc->n", gap, gap) / (0.5 * reach) ** 2)
         jacobian = parameter_jacobian(body, parameters, index)
-        # Along the normal in full, along the surface a little: points may slide.
+        # Gaps count in full along the normal and a little along the surface, so that points may slide.
         project = 0.9 * normal[:, :, None] * normal[:, None, :] + 0.1 * np.eye(3)
         a = project @ jacobian * robust[:, None, None]
         b = np.einsum("nab,nb->na", project, gap) * robust[:, None]

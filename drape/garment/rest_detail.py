@@ -19,7 +19,7 @@ from scipy.sparse import csgraph
 from drape.cloth import rest_state
 from drape.cloth.rest_state import RestState
 from drape.errors import MeshError
-from drape.garment.grain import CornerUv, corner_uv, panel_unit, read_grain
+from drape.garment.grain import CornerUv, corner_uv, panel_unit, read_grain, weighted_median
 from drape.garment.rest_pose import smoother, subdivide_smooth
 from drape.garment.sewing import SewnHinges
 from drape.geometry import mesh_graphs, meshes
@@ -29,8 +29,8 @@ SMOOTHING_M = 0.05
 # Measured on the garments of docs/guide/garments.md: hems, cuffs and collars are lines of 8 to 23 cm at 30 degrees and
 # more; what crumples under a bust, at a crotch or in an armpit ends within 7 cm.
 CREASE_RAD, LINE_M = np.radians(30.0), 0.08
-FOLD_RAD = np.radians(90.0)  # no body is as sharp
-HEM_M = 0.04  # cloth between a crease and an open rim is doubled if both are so near
+FOLD_RAD = np.radians(90.0)  # no body is as sharp as a fold
+HEM_M = 0.04  # cloth between a crease and an open rim is doubled if the two are this near
 HEM_STIFFENING = 2.0
 DOUBLED = re.compile(r"(?<![a-z])(hem|cuff|collar|(waist|neck|wrist)?band|placket|facing)", re.IGNORECASE)
 # Area by which a panel as wide as a hand spans must be distorted to lie flat, median over the cloth: real garments 1.01
@@ -131,11 +131,9 @@ def rest_of(cloth: RestCloth, rest: Rest = "auto") -> tuple[RestState, RestFigur
 
 def creases(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Returns the dihedral angles [rad] (H,) of the hinges of a surface, in the order of ``meshes.hinges``, and which
-    of these are creases, bool (H,).
-
-    A hinge is sharp if it turns by ``CREASE_RAD``, and by as much from the surface smoothed over ``SMOOTHING_M``, or if
-    it is folded over. It is a crease if the sharp hinges that it is connected with span ``LINE_M``.
-    """
+    of these are creases, bool (H,). A hinge is sharp if it turns by ``CREASE_RAD``, and by as much from the surface
+    smoothed over ``SMOOTHING_M``, or if it is folded over. It is a crease if the sharp hinges that it is connected with
+    span ``LINE_M``."""
     angle = rest_state.dihedral_angles(vertices, faces)
     smooth = rest_state.dihedral_angles(smoother(vertices, faces, SMOOTHING_M)(vertices), faces)
     turn = angle - smooth
@@ -155,12 +153,10 @@ def creases(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def distortion(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Returns the ratio, at least 1, of the largest to the smallest area scale where panels of the radius
-    ``PANEL_RADIUS_M`` are laid flat, the median over the cloth ``vertices`` [m] (N, 3), ``faces``.
-
-    A disc of total curvature W on a sphere, mapped with least distortion (stereographically), has (1 - W / 4 pi)^-2
-    from rim to centre. W is the angle defect, spread over the surface.
-    """
+    """Returns the ratio, at least 1, of the largest to the smallest factor by which areas change where panels of the
+    radius ``PANEL_RADIUS_M`` are laid flat; the median over the cloth ``vertices`` [m] (N, 3), ``faces``. A disc of
+    total curvature W on a sphere, mapped with least distortion (stereographically), has (1 - W / 4 pi)^-2 from rim to
+    centre. W is the angle defect, spread over the surface."""
     area = meshes.vertex_areas(vertices, faces)
     defect = np.full(len(vertices), 2.0 * np.pi)
     for k in range(3):
@@ -171,9 +167,7 @@ def distortion(vertices: np.ndarray, faces: np.ndarray) -> float:
     defect[meshes.boundary_vertices(faces)] = 0.0
     spread = smoother(vertices, faces, 0.5 * PANEL_RADIUS_M)(np.column_stack([defect, area]))
     curvature = np.abs(spread[:, 0]) / np.maximum(spread[:, 1], 1e-12) * np.pi * PANEL_RADIUS_M**2
-    order = np.argsort(curvature)
-    total = np.cumsum(area[order])
-    middle = float(curvature[order][np.searchsorted(total, 0.5 * total[-1])])
+    middle = weighted_median(curvature, area)
     return (1.0 - min(middle / (4.0 * np.pi), 0.99)) ** -2.0
 
 
@@ -212,11 +206,8 @@ def cloth_of(
     materials: tuple[Sequence[str], np.ndarray],
 ) -> RestCloth:
     """Returns the cloth of a garment of which only the mesh at rest is known, so that lengths are that mesh's:
-    ``vertices`` [m] (N, 3) and ``fine_faces`` (G, 3).
-
-    ``on_corners``: its uv (T, 2) and uv_faces (F, 3). ``materials``: their names, and the number (F,) of each delivered
-    face's.
-    """
+    ``vertices`` [m] (N, 3) and ``fine_faces`` (G, 3). ``on_corners``: its uv (T, 2) and uv_faces (F, 3). ``materials``:
+    their names, and the number (F,) of each delivered face's."""
     faces, points = np.asarray(fine_faces, dtype=np.int64), np.asarray(vertices, dtype=np.float64)
     doubled = doubled_faces(*materials, len(faces))
     return RestCloth(points, faces, points, corner_uv(*on_corners, len(faces)), doubled, resized=True)

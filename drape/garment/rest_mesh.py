@@ -13,11 +13,10 @@ from drape.garment.avatars import Avatar
 from drape.garment.bound import BoundMesh
 from drape.garment.cache import Garment
 from drape.garment.clearance import CLEARANCE_M, Cleared, clear_body
-from drape.garment.cloth_layer import cloth_layer, hung, join_sheets
+from drape.garment.cloth_layer import cloth_layer, hung
 from drape.garment.files.mesh import GarmentMesh
-from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions
 from drape.garment.mantle_rest import spread
-from drape.garment.mesh_checks import check_mesh, check_surface, place_on_avatar
+from drape.garment.mesh_checks import check_mesh
 from drape.garment.rest_detail import subdivided_like
 from drape.garment.rest_pose import MovedGarment, bone_motions, refine, to_standard
 from drape.garment.seats import Seat
@@ -28,8 +27,8 @@ from drape.geometry import meshes
 from drape.geometry.closest import nearest_vertices
 
 FINE_VERTEX_MINIMUM, FINE_VERTEX_LIMIT = 3_000, 40_000
-CARRIED_SCALES, INSIDE_SHARE = 1.0 + 0.02 * np.arange(11), 0.001  # of a hat, and how much of it may be in the skin
-CARRIED_COUNT = 400  # points on it
+CARRIED_SCALES, INSIDE_SHARE = 1.0 + 0.02 * np.arange(11), 0.001  # scales of a hat; share of it in the skin
+CARRIED_COUNT = 400  # points on what bones carry
 FINE_EDGE_M = 0.021  # each round halves the edges: the mean ends near 15 mm
 _MANTLE_ARRAYS = ("arm_share", "arm_ways")
 _VERTEX_ARRAYS = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual")
@@ -68,29 +67,26 @@ class RestMesh:
 
 def rest_mesh(
     mesh: GarmentMesh,
+    sheets: GarmentMesh,
     avatar: Avatar,
     body: BodyModel,
-    options: IntakeOptions = DEFAULT_OPTIONS,
     *,
-    sheets: GarmentMesh | None = None,
     sewn: bool = False,
     outer: np.ndarray | None = None,
     carriers: tuple[str, ...] | None = None,
 ) -> RestMesh:
-    """Returns the cloth in the delivered ``mesh``, moved from ``avatar`` to ``body`` in T-pose, subdivided and pushed
-    clear of the body.
+    """Returns the cloth of ``sheets``, moved from ``avatar`` to ``body`` in T-pose, subdivided and pushed clear of the
+    body. ``sheets``: ``join_sheets`` of the delivered ``mesh``, checked and in metres on the avatar.
 
-    ``sheets``: ``join_sheets`` of the mesh, checked and in metres on the avatar. ``outer`` (F,) bool: the
-    ``outer_sides`` of the sheets. ``carriers``: what ``bones_that_carry`` returns for them. These three are computed if
-    left out. Of a mesh that is ``sewn`` every face is cloth. Raises ``MeshError`` where the mesh cannot be draped.
+    ``outer`` (F,) bool: the ``outer_sides`` of the sheets; ``carriers``: what ``bones_that_carry`` returns for them.
+    These two are computed if left out. Of a mesh that is ``sewn`` every face is cloth. Raises ``MeshError`` where the
+    mesh cannot be draped.
     """
-    if sheets is None:
-        sheets = place_on_avatar(check_surface(join_sheets(mesh)), avatar, unit=options.unit, up=options.up)
     if carriers is None:
         carriers = () if sewn else bones_that_carry(with_used_vertices(sheets), avatar.vertices, body)
     cloth = sheets if sewn else cloth_layer(sheets, avatar.vertices, outer)
     whole = cloth is sheets and len(sheets.vertices) == len(mesh.vertices)
-    checked = check_mesh(cloth if whole else with_used_vertices(cloth), avatar, placed=True, carried=bool(carriers))
+    checked = check_mesh(cloth if whole else with_used_vertices(cloth), avatar, carried=bool(carriers))
     joints = body.regressor @ avatar.vertices
     drawn = None if whole else hung(mesh, sheets.vertices[: len(mesh.vertices)], checked, joints, avatar.vertices)
     compact, kept = without_unused(checked)
@@ -196,11 +192,8 @@ def without_unused(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
 
 def with_unused(garment: Garment, faces: np.ndarray, kept: np.ndarray) -> Garment:
     """Returns ``garment``, which was made without unused vertices, with these back in their rows; they lie on the
-    nearest vertices.
-
-    ``faces`` (F, 3): the delivered triangles. ``kept`` (V,): the row of each delivered vertex in ``garment``, as
-    ``without_unused`` returns it.
-    """
+    nearest vertices. ``faces`` (F, 3): the delivered triangles. ``kept`` (V,): the row of each delivered vertex in
+    ``garment``, as ``without_unused`` returns it."""
     compact = garment.vertex_count
     if len(kept) == compact and (kept == np.arange(compact)).all():
         return garment

@@ -29,8 +29,8 @@ from drape.geometry.closest import closest_point, nearest_vertices
 from drape.geometry.symmetric import symmetric_factor
 from drape.motion.node_clip import nearest_rotations
 
-WEIGHT_SMOOTHING_M = 0.05  # along the garment; longer spreads an armpit's strain further
-SHAPE_SMOOTHING_M = 0.03  # longer keeps the avatar's bust on a body that has none, which then creases
+WEIGHT_SMOOTHING_M = 0.05  # a longer one spreads an armpit's strain further
+SHAPE_SMOOTHING_M = 0.03  # a longer one keeps the avatar's bust on a body that has none, which then creases
 NEAR_COUNT = 48  # body vertices that a garment vertex may follow
 SPREAD_MIN_M = 0.015
 SPREAD_PER_DISTANCE = 0.7  # cloth far from the skin follows a wider part of it
@@ -39,21 +39,19 @@ LEGS = {
     for side in ("left", "right")
 }
 TROUSERS_CROTCH_M = 0.08  # trousers hang at most this far below the body's crotch before their legs part
-SKIRT_SHARE = 0.2  # of a piece of cloth below the crotch that must lie at each leg for it to be a skirt
+SKIRT_SHARE = 0.2  # a skirt has this share of its cloth below the crotch at each leg
 HIP_BAND_M = 0.10
-LEAST_TRUST = 1e-3  # that cloth which is all skirt stays where its shape puts it
+LEAST_TRUST = 1e-3  # weight by which cloth that is all skirt stays where its shape puts it
 PN_LIMIT = 0.15  # a subdivision vertex leaves its edge by at most this share of the edge's length
-DENSE = 0.6  # of the edge that is asked for: cloth so fine may have fewer vertices
+DENSE = 0.6  # cloth with edges below this share of the usual ones may have fewer vertices
 
 
 @dataclass(frozen=True, eq=False)
 class MovedGarment:
     """A garment's ``vertices`` [m] (V, 3) on the standard body in T-pose, and ``loose`` (V,) in [0, 1], how much each
-    hangs as a skirt does.
-
-    Only of a mantle: ``arm`` (V,), the shares of the arms in [0, 1]; ``lay`` [m] (V, 3), the mantle on the standard
-    body in its wearer's pose; ``shapes`` [m] (K, V, 3), it over arms along ``mantle_shapes.DIRECTIONS``.
-    """
+    hangs as a skirt does. Only of a mantle: ``arm`` (V,), the shares of the arms in [0, 1]; ``lay`` [m] (V, 3), the
+    mantle on the standard body in its wearer's pose; ``shapes`` [m] (K, V, 3), it over arms along
+    ``mantle_shapes.DIRECTIONS``."""
 
     vertices: np.ndarray
     loose: np.ndarray
@@ -64,10 +62,8 @@ class MovedGarment:
 
 def bone_motions(source: np.ndarray, target: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Returns for each bone the rotation (J, 3, 3) and the translation [m] (J, 3), x' = R x + t, that bring its skin
-    best from ``source`` to ``target`` [m] (V, 3). ``weights`` (V, J): the skin's bone weights.
-
-    It is weighted least squares; a bone without skin takes the motion of the whole body.
-    """
+    best from ``source`` to ``target`` [m] (V, 3). ``weights`` (V, J): the skin's bone weights. It is weighted least
+    squares; a bone without skin takes the motion of the whole body."""
     share = weights**2  # the blended rim of a bone says less about it than its middle
     share = np.where(share.sum(axis=0) > 1e-9, share, 1.0)
     share = share / share.sum(axis=0)
@@ -126,9 +122,7 @@ def own_skin_weights(
 ) -> scipy.sparse.csr_matrix:
     """Returns the sparse ``surface_weights`` (V, B) of a garment's vertices over the B vertices of ``avatar``: for
     sleeves on the skin of their arm, for other cloth on all skin but arms. ``sleeve`` (V,): what ``sleeve_of`` returns.
-
-    A hand that hangs beside a skirt is nearer to it than the thigh is, and would take it along.
-    """
+    A hand that hangs beside a skirt is nearer to it than the thigh is, and would take it along."""
     arms = [body.weights[:, bones].sum(axis=1) for bones in ARMS.values()]
     counts = [sum(arms) < 0.5, *(arm > 0.05 for arm in arms), None]
     rows = [np.flatnonzero(sleeve == number) for number in range(SHOULDER + 1)]
@@ -140,9 +134,7 @@ def own_skin_weights(
 def surface_weights(points: np.ndarray, avatar: Avatar, counts: np.ndarray | None = None) -> scipy.sparse.csr_matrix:
     """Returns sparse weights (N, B), rows summing to one, that average values of the B vertices of ``avatar`` near each
     of ``points`` [m] (N, 3): a Gaussian round the point, over skin whose normal agrees with that of the nearest skin.
-
-    ``counts`` (B,) bool: the skin that may have weight, all by default.
-    """
+    ``counts`` (B,) bool: the skin that may have weight, all by default."""
     counts = np.ones(len(avatar.vertices), dtype=bool) if counts is None else counts
     skin, faces = np.flatnonzero(counts), avatar.faces[counts[avatar.faces].all(axis=1)]
     normals = meshes.vertex_normals(avatar.vertices, avatar.faces)
@@ -182,11 +174,8 @@ def _laplacian(vertices: np.ndarray, faces: np.ndarray, length_m: float) -> scip
 
 def skirt_blend(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: BodyModel) -> np.ndarray:
     """Returns the share (V,) in [0, 1] to which each vertex belongs to a skirt on ``avatar``: smoothly from 0 above the
-    hip joints to 1 below the crotch, and 0 for other cloth.
-
-    A skirt is a connected piece of cloth below the crotch that lies round both legs; trousers fall into two pieces
-    there.
-    """
+    hip joints to 1 below the crotch, and 0 for other cloth. A skirt is a connected piece of cloth below the crotch that
+    lies round both legs; trousers fall into two pieces there."""
     joints = body.regressor @ avatar.vertices
     sides = {side: body.weights[:, bones].sum(axis=1) for side, bones in LEGS.items()}
     thighs = (sides["left"] + sides["right"]) > 0.5
@@ -244,11 +233,8 @@ def _shape_only(vertices: np.ndarray, avatar: Avatar, body: BodyModel) -> np.nda
 
 def subdivide_smooth(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns vertices [m] (N, 3), faces (4F, 3) and the two parents (N, 2) of each vertex after one round of
-    subdivision, in the order of ``meshes.subdivide``. Old vertices stay in place.
-
-    A new vertex is the middle of the cubic edge of a PN triangle (Vlachos et al. 2001), which turns facets into a round
-    surface.
-    """
+    subdivision, in the order of ``meshes.subdivide``. Old vertices stay in place. A new vertex is the middle of the
+    cubic edge of a PN triangle (Vlachos et al. 2001), which turns facets into a round surface."""
     flat, fine, parents = meshes.subdivide(vertices, faces)
     normals = meshes.vertex_normals(vertices, faces)
     a, b = parents[len(vertices) :].T
@@ -268,11 +254,9 @@ def refine(
     vertices: np.ndarray, faces: np.ndarray, *, at_least: int, at_most: int, edge_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns vertices [m] (N, 3), faces (G, 3) and for each vertex a delivered one (N,) from which it descends, after
-    rounds of ``subdivide_smooth``.
-
-    It goes on until the mean edge is at most ``edge_m`` and there are ``at_least`` vertices, but not past ``at_most``.
-    Half of ``at_least`` suffice where the mean edge is at most ``DENSE`` times ``edge_m``.
-    """
+    rounds of ``subdivide_smooth``. It goes on until the mean edge is at most ``edge_m`` and there are ``at_least``
+    vertices, but not past ``at_most``. Half of ``at_least`` suffice where the mean edge is at most ``DENSE`` times
+    ``edge_m``."""
     origin = np.arange(len(vertices))
     while True:
         edges = meshes.unique_edges(faces)

@@ -18,13 +18,13 @@ from drape.garment.wearer_fields import DENSE_COUNT, Bones, cloth_points, unthre
 from drape.garment.wearer_reading import Reading
 from drape.geometry import meshes
 
-EXTENT_M = (0.12, 2.4)  # of a garment
+EXTENT_M = (0.12, 2.4)  # extents of garments
 COARSE_COUNT, FINE_COUNT = 350, 800  # points on the cloth
-SMALL_M2, SMALL = 0.4, 0.07  # a whole outfit read as a collar costs this for every e-fold less of cloth
-LOPSIDED = 6.0  # cost of cloth that is no mirror image of itself, where it is nearer to that along another axis
+SMALL_M2, SMALL = 0.4, 0.07  # smaller cloth costs this for every factor e: an outfit may be read as a collar
+LOPSIDED = 6.0  # cost of cloth that is less symmetric across left and right than along another axis
 CUFF_M = 0.12  # shorter openings are holes
-LOOP_SHARE, LOOP_COUNT, LOOP_POINTS = 0.2, 6, 24  # openings over the extent, the most that count, points on each
-LOOP_PIECE = 0.1  # of the area: a smaller piece is a strap, a lace or a tape, and its border no opening
+LOOP_SHARE, LOOP_COUNT, LOOP_POINTS = 0.2, 6, 24  # least length over the extent; most borders; points on each
+LOOP_PIECE = 0.1  # a piece with a smaller share of the area is a strap, a lace or a tape, which has no opening
 
 
 class SearchedCloth:

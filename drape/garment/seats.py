@@ -12,15 +12,16 @@ from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.geometry.closest import ClosedMesh
 
-SEAT_COUNT = 400  # points that are asked
+SEAT_COUNT = 400  # points that are looked at
 EYES_M, FOREHEAD_M, CROWN_M = 0.032, 0.072, 0.03  # above the tip of the nose; a hat's top is no lower under the crown
 LENSES_M, CLEAR_M = 0.035, 0.002  # how far behind the foremost point glasses have lenses, and steps that they take
-BRIDGE_M, NOSE_SHARE = 0.03, 0.1  # lenses are this far behind the tip of the nose at most; of them it may be in
-# Extents [m] that glasses have: least and most across, up and back, and what is between their sides behind the lenses.
+BRIDGE_M, NOSE_SHARE = 0.03, 0.1  # lenses are this far behind the nose's tip at most; share of them in the skin
+# Least and most extents of glasses [m] across, up and back. Behind the lenses less than BETWEEN_SHARE of their points
+# are nearer to the middle than BETWEEN of their width.
 GLASSES_M, BETWEEN, BETWEEN_SHARE = ((0.11, 0.175), (0.02, 0.085), (0.02, 0.2)), 0.35, 0.02
-# How a hat is moved up, and forward or back.
+# Moves of a hat that are tried: up or down, and forward or back.
 RISES_M, DEPTHS_M = np.arange(-0.15, 0.1501, 0.01), np.arange(-0.06, 0.0601, 0.02)
-RIM_M, RIM_COST_M = 0.05, 0.03  # a hat's rim is this near to the head; from the forehead, what costs one
+RIM_M, RIM_COST_M = 0.05, 0.03  # a hat's rim is this near to the head; distance from the forehead that costs 1
 DEEP_M, DEEP_COST, TIGHT_M = 0.002, 20.0, 0.01  # hats up to so much too tight are made larger (``rest_mesh``)
 SHOE_STEPS_M, SHOE_MOST_M, SHOE_FAR_M, SHOE_WAY_M = (0.04, 0.02, 0.01, 0.005), 0.06, 0.03, 1.0
 
@@ -98,7 +99,7 @@ class Seat:
             return deep + (off + 0.5 * abs(way[2])) / RIM_COST_M
 
         best, least = np.zeros(3), np.inf
-        for depth in sorted(DEPTHS_M, key=abs):  # a way costs as much as it goes forward or back at the least
+        for depth in sorted(DEPTHS_M, key=abs):  # the move forward or back alone costs as much
             if 0.5 * abs(depth) / RIM_COST_M >= least:
                 break
             for rise in RISES_M:

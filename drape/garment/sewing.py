@@ -29,9 +29,7 @@ DOUBLED_KINDS = ("hem", "opening")  # turned up, or bound: two layers that slide
 @dataclass(frozen=True)
 class Seam:
     """A seam between two ``panels``, folded by ``angle_rad`` at rest, negative where it folds to the outside.
-
-    ``vertices``: rows of the OBJ's v along it, from 0, in order; ``uv``: for either side the rows of vt.
-    """
+    ``vertices``: rows of the OBJ's v along it, from 0, in order; ``uv``: for either side the rows of vt."""
 
     name: str
     panels: Sequence[str]
@@ -55,11 +53,8 @@ class FreeEdge:
 @dataclass(frozen=True)
 class Sewing:
     """How a garment is sewn: the contents of ``NAME.json`` beside its OBJ file ``mesh``. ``uv_unit_m``: metres of cloth
-    per unit of uv.
-
-    Cloth nearer than ``hem_width_m`` to an edge that is turned up or bound bends ``hem_bending`` times as hard.
-    ``size``, ``body``, ``ease_m`` and ``figures`` tell how the garment was made.
-    """
+    per unit of uv. Cloth nearer than ``hem_width_m`` to an edge that is turned up or bound bends ``hem_bending`` times
+    as hard. ``size``, ``body``, ``ease_m`` and ``figures`` tell how the garment was made."""
 
     name: str
     fabric: str
@@ -97,11 +92,9 @@ class Sewing:
 
 
 def sewing_beside(path: Path) -> Sewing | None:
-    """Returns the sewing in the JSON file of the same name beside the mesh at ``path``.
-
-    None where there is no JSON of this format, or where it names a mesh of another file format, whose rows are others.
-    Raises ``InputError`` for one of another version, or with missing or unknown fields.
-    """
+    """Returns the sewing in the JSON file of the same name beside the mesh at ``path``. None where there is no JSON of
+    this format, or where it names a mesh of another file format, whose rows are others. Raises ``InputError`` for one
+    of another version, or with missing or unknown fields."""
     file = path.with_suffix(".json")
     if not file.is_file():
         return None
@@ -191,11 +184,8 @@ def sewn_hinges(
 def near_lines(
     points: np.ndarray, panel: np.ndarray, lines: Sequence[tuple[int, np.ndarray]], within_m: float
 ) -> np.ndarray:
-    """Returns which ``points`` [m] (N, 2) lie within ``within_m`` of a line on their own panel, bool (N,).
-
-    ``panel`` (N,): the number of each point's panel. ``lines``: the number of a panel, and the polyline [m] (M, 2) on
-    it.
-    """
+    """Returns which ``points`` [m] (N, 2) lie within ``within_m`` of a line on their own panel, bool (N,). ``panel``
+    (N,): the number of each point's panel. ``lines``: the number of a panel, and the polyline [m] (M, 2) on it."""
     near = np.zeros(len(points), dtype=bool)
     for number, line in lines:
         mine = np.flatnonzero(panel == number)

@@ -17,16 +17,16 @@ from drape.garment.files.mesh import GarmentMesh
 from drape.garment.mesh_checks import fewest_turned
 from drape.geometry import closest, mesh_graphs, meshes
 
-COPY_SHARE = 1e-6  # of the extent: vertices nearer than this are one, written with other digits
-# Vertices on borders are one where they are nearer than this share of the extent, and than that of the edges there.
+COPY_SHARE = 1e-6  # vertices nearer than this share of the extent are one, written with other digits
+# Vertices on borders are one where they are nearer than CRACK_SHARE of the extent and CRACK_EDGES of the edges there.
 CRACK_SHARE, CRACK_EDGES = 1e-3, 0.25
-CRUMB_SHARE = 0.02  # of the area of all: smaller pieces are crumbs
-LAYER_SHARE = 0.03  # of the root of the area: a sheet within it, 2 to 4 cm, lies on the garment
-LAYER_PART = 0.8  # of a sheet's samples that do
+CRUMB_SHARE = 0.02  # pieces with a smaller share of the whole area are crumbs
+LAYER_SHARE = 0.03  # a sheet within this share of the root of the area, 2 to 4 cm, lies on the garment
+LAYER_PART = 0.8  # share of a sheet's samples that must lie on the garment
 SMOOTHINGS = 3
-DISAGREEING = 2.0  # on the cosine of faces that look to different sides: they stay together if no other two can
-FEW_CLASHES = 0.01  # of the edges
-OWN_SHARE = 0.2  # of the largest sheet's area: what is larger and lies apart may be the garment as well
+DISAGREEING = 2.0  # cost of faces wound differently, so that they stay together only if no other two can
+FEW_CLASHES = 0.01  # share of the edges
+OWN_SHARE = 0.2  # a sheet apart with a larger share of the largest's area may be the garment as well
 SAMPLES = 400
 
 
@@ -39,17 +39,15 @@ def without_copies(mesh: GarmentMesh) -> GarmentMesh:
 
 def without_cracks(mesh: GarmentMesh) -> GarmentMesh:
     """Returns ``mesh`` with borders that run along each other joined, with a note: their vertices become one where they
-    are much nearer to each other than edges are long. If there are none, ``mesh`` itself is returned.
-
-    Panels that were rounded each by itself, as by a compressed file, have cracks between them.
-    """
+    are much nearer to each other than edges are long. If there are none, ``mesh`` itself is returned. Panels that were
+    rounded each by itself, as by a compressed file, have cracks between them."""
     border = meshes.boundary_edges(mesh.faces)
     reach = np.full(len(mesh.vertices), CRACK_SHARE * _extent(mesh))
     np.minimum.at(reach, border, CRACK_EDGES * meshes.edge_lengths(mesh.vertices, border)[:, None])
     own = np.unique(border)
     pairs = own[KDTree(mesh.vertices[own]).query_pairs(float(reach.max()), output_type="ndarray")]
     pairs = pairs[meshes.edge_lengths(mesh.vertices, pairs) < reach[pairs].min(axis=1)]
-    # Where whole edges meet; hems of two garments that touch in a point stay apart.
+    # Only whole edges are joined; hems of two garments that touch in a point stay apart.
     label = mesh_graphs.joined_parts(len(mesh.vertices), *pairs.T)
     ends, counts = np.unique(np.sort(label[border], axis=1), axis=0, return_counts=True)
     return _welded(mesh, pairs[np.isin(label[pairs[:, 0]], ends[counts > 1])])
@@ -79,11 +77,9 @@ def branch_edges(faces: np.ndarray) -> int:
 
 def cut_branches(mesh: GarmentMesh) -> GarmentMesh:
     """Returns ``mesh`` cut apart where an edge has more than two faces and where sheets touch in a single vertex:
-    vertices there are split. ``mesh`` itself if there is no such place and every vertex has a face.
-
-    Vertices without a face are left out. Faces keep their order; where two pairs of faces cannot be told apart, because
-    they meet again at both ends of their edge, one pair is left out.
-    """
+    vertices there are split. ``mesh`` itself if there is no such place and every vertex has a face. Vertices without a
+    face are left out. Faces keep their order; where two pairs of faces cannot be told apart, because they meet again at
+    both ends of their edge, one pair is left out."""
     branches = branch_edges(mesh.faces)
     cut = _split(mesh, *_joined(mesh.vertices, mesh.faces))
     if not branches and len(cut.vertices) == len(np.unique(mesh.faces)):
@@ -121,10 +117,8 @@ def _split(mesh: GarmentMesh, halves: np.ndarray, first: np.ndarray, second: np.
 
 def agreeing(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
     """Returns ``mesh`` with faces reversed so that neighbours are wound alike, and the middles (C, 3) of edges that
-    were cut open for it, none in most meshes.
-
-    Only one-sided (Moebius) sheets have to be cut, across the strip. Edges must have at most two faces.
-    """
+    were cut open for it, none in most meshes. Only one-sided (Moebius) sheets have to be cut, across the strip. Edges
+    must have at most two faces."""
     turn, _ = fewest_turned(mesh.faces)
     faces = np.where(turn[:, None], mesh.faces[:, ::-1], mesh.faces)
     halves, first, second = meshes.edge_pairs(faces)
@@ -148,7 +142,7 @@ def _joined(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
         plain &= ~clash
     kept = [np.stack([first[plain], second[plain]], axis=1)]
     averaging = mesh_graphs.umbrella_laplacian(faces, len(vertices))
-    for _ in range(SMOOTHINGS):  # noise tilts single faces
+    for _ in range(SMOOTHINGS):  # because noise tilts single faces
         vertices = vertices + averaging @ vertices
     crowded = np.flatnonzero(counts[inverse] > 2)
     crowded = crowded[np.argsort(inverse[crowded], kind="stable")]
@@ -218,11 +212,9 @@ def pieces_of(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
 
 def main_sheet(mesh: GarmentMesh) -> tuple[GarmentMesh, list[np.ndarray]]:
     """Returns the largest sheet of ``mesh``, with notes of what is left out, and the middles, each (3,), of other
-    sheets that may be garment as well; none in most meshes.
-
-    Crumbs and second layers (collars, facings, plackets, doubled hems) are left out. A sheet that lies apart is among
-    the middles if its area is more than ``OWN_SHARE`` of the largest's; a smaller one is left out and noted.
-    """
+    sheets that may be garment as well; none in most meshes. Crumbs and second layers (collars, facings, plackets,
+    doubled hems) are left out. A sheet that lies apart is among the middles if its area is more than ``OWN_SHARE`` of
+    the largest's; a smaller one is left out and noted."""
     piece, area = pieces_of(mesh.vertices, mesh.faces)
     total = float(area.sum())
     tree_faces = mesh.faces[piece == 0]

@@ -17,7 +17,7 @@ from drape.errors import NotFound, did_you_mean
 
 SIZES = ("S", "M", "L", "XL")
 STEPS = {size: number - SIZES.index("M") for number, size in enumerate(SIZES)}
-GIRTH_STEP_M = 0.08  # of chest, waist and hips from letter to letter
+GIRTH_STEP_M = 0.08  # growth of chest, waist and hips from letter to letter
 BEYOND = {"XXS": "S", "XS": "S", "XXL": "XL", "2XL": "XL", "3XL": "XL", "XXXL": "XL"}
 _WORDS = {"chest_m": "chest", "waist_m": "waist", "hip_m": "hips"}
 

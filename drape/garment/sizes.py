@@ -34,7 +34,7 @@ from drape.garment.unfold import Flattened, fit_planes
 from drape.geometry import jets, mesh_graphs, meshes
 from drape.geometry.closest import nearest_vertices
 
-FOLDER = "sizes"  # beside the garments
+FOLDER = "sizes"  # a folder beside the garments
 FORMAT_VERSION = 1
 MOVED_STEP_M, GROWN_STEP_M = 5e-4, 5e-5
 OTHERS = tuple(size for size in SIZES if size != "M")
@@ -42,12 +42,10 @@ OTHERS = tuple(size for size in SIZES if size != "M")
 
 @dataclass(frozen=True, eq=False)
 class SizeTable:
-    """The sizes S, L and XL (``OTHERS``) of the garment with ``digest``, as differences from its M.
-
-    ``moved`` [m] (3, A, 3): displacements of the vertices ``vertex`` (A,) on the standard body. ``grown`` [m] (3, B,
-    2): displacements of the rows ``corner`` (B,) of the uv, which are panels in metres. ``measures``: by size, M
-    included, and by level the girths and the length [m].
-    """
+    """The sizes S, L and XL (``OTHERS``) of the garment with ``digest``, as differences from its M. ``moved`` [m] (3,
+    A, 3): displacements of the vertices ``vertex`` (A,) on the standard body. ``grown`` [m] (3, B, 2): displacements of
+    the rows ``corner`` (B,) of the uv, which are panels in metres. ``measures``: by size, M included, and by level the
+    girths and the length [m]."""
 
     digest: str
     vertex: np.ndarray
@@ -111,10 +109,8 @@ def sized_digest(garment: Garment, table: SizeTable, size: str) -> str:
 
 def sized(garment: Garment, body: BodyModel, table: SizeTable, size: str) -> Garment:
     """Returns ``garment``, the size M, in ``size``, clear of the skin of ``body``, on which it was sewn; M is
-    ``garment`` itself. It takes seconds, most of them to clear it.
-
-    Raises ``MeshError`` where the cloth cannot be brought clear.
-    """
+    ``garment`` itself. It takes seconds, most of them to clear it. Raises ``MeshError`` where the cloth cannot be
+    brought clear."""
     if size == "M":
         return garment
     number = OTHERS.index(size)
@@ -140,11 +136,9 @@ def sized(garment: Garment, body: BodyModel, table: SizeTable, size: str) -> Gar
 
 def moved_patches(garment: Garment, vertices: np.ndarray, body: BodyModel) -> dict[str, np.ndarray]:
     """Returns the fields of the ``Atlas`` of ``garment`` that change when its vertices move to ``vertices`` [m] (N, 3),
-    float32 by name: ``patch_centre``, ``patch_jet``, ``patch_features``, ``chart_uv`` and ``chart_residual``.
-
-    Patches go along with their cloth and keep their frames. Charts that are projections become those of the new places.
-    Charts that were laid flat (``drape.garment.unfold``) keep their (u, v), and their in-plane polynomials follow.
-    """
+    float32 by name: ``patch_centre``, ``patch_jet``, ``patch_features``, ``chart_uv`` and ``chart_residual``. Patches
+    go along with their cloth and keep their frames. Charts that are projections become those of the new places. Charts
+    that were laid flat (``drape.garment.unfold``) keep their (u, v), and their in-plane polynomials follow."""
     patch, weight = garment.chart_patch, garment.chart_weight.astype(np.float64)
     rotation, scale = garment.patch_rotation.astype(np.float64), garment.patch_scale.astype(np.float64)
     shares, owner = weight.reshape(-1), patch.reshape(-1)
@@ -156,7 +150,7 @@ def moved_patches(garment: Garment, vertices: np.ndarray, body: BodyModel) -> di
     blend, uv, height = ChartBlend(patch, weight), local[..., :2] / sizes, local[..., 2] / scale[patch]
     projected = fit_jets(uv, height, blend, len(scale))
     plane = slice(0, 2 * jets.IN_PLANE_COUNT)
-    flat = (garment.patch_jet[:, plane] != projected[:, plane]).any(axis=1)  # a projection's are the identity
+    flat = (garment.patch_jet[:, plane] != projected[:, plane]).any(axis=1)  # those of a projection are the identity
     uv = np.where(flat[patch][..., None], garment.chart_uv.astype(np.float64), uv)
     jet = fit_planes(fit_jets(uv, height, blend, len(scale)), Flattened(blend, uv, flat), local, scale)
     residual = local - sizes * jets.evaluate_jet(jet[patch], uv)
@@ -214,9 +208,7 @@ def regraded(edges: np.ndarray, uv: np.ndarray, graded: np.ndarray, uv_faces: np
 def garment_measures(garment: Garment, body: BodyModel) -> dict[str, float]:
     """Returns lengths [m] of ``garment`` on ``body`` in the rest pose. ``chest_m``, ``waist_m`` and ``hip_m``: its
     girths without stress, where it goes around the body. ``length_m``: from its highest to its lowest point.
-
-    ``waist_m`` of a garment that reaches neither chest nor waist is the girth of its upper end.
-    """
+    ``waist_m`` of a garment that reaches neither chest nor waist is the girth of its upper end."""
     faces, vertices, rest = (
         garment.fine_faces.astype(np.int64),
         garment.vertices.astype(np.float64),

@@ -41,10 +41,8 @@ def bind_to_body(
     vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, arm: np.ndarray | None = None
 ) -> BodyBinding:
     """Returns the bone weights and the shape movement of a garment with ``vertices`` [m] (N, 3) and ``faces``, at rest
-    on ``body`` in T-pose.
-
-    ``arm`` (N,) in [0, 1]: how much each vertex goes with the arm on its side; by default as near as it is to the arm.
-    """
+    on ``body`` in T-pose. ``arm`` (N,) in [0, 1]: how much each vertex goes with the arm on its side; by default as
+    near as it is to the arm."""
     if arm is None:
         kernel = body_kernel(vertices, body)
     else:
@@ -75,10 +73,8 @@ def trunk_and_arm_kernels(
 
 def body_kernel(vertices: np.ndarray, body: BodyModel, counts: np.ndarray | None = None) -> scipy.sparse.csr_matrix:
     """Returns sparse weights (N, B), rows summing to one, over the vertices of ``body`` near each of ``vertices`` [m]
-    (N, 3): Gaussian in the distance.
-
-    Only ``thinned_vertices`` have weight, and of these only those that ``counts`` (B,) bool marks, if it is given.
-    """
+    (N, 3): Gaussian in the distance. Only ``thinned_vertices`` have weight, and of these only those that ``counts``
+    (B,) bool marks, if it is given."""
     points = thinned_vertices(body)
     points = points if counts is None else points[counts[points]]
     distance, index = nearest_vertices(vertices, body.v_template[points], NEIGHBOURS)

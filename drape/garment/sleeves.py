@@ -14,25 +14,24 @@ from drape.garment.wearer_fields import BONES, SLAB_M, Bones, bones_of, enclosed
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import nearest_vertices
 
-ROUND_SHARE = 0.8  # of the way round a bone that a sleeve has cloth
+ROUND_SHARE = 0.8  # share of the directions around a bone in which a sleeve has cloth
 LOOKS_AWAY = -0.5  # cosine to the way from the bone: cloth that looks at the arm is the trunk's or an inner wall
-CUFF_M = 0.03  # the end of what is seen of a sleeve, from which it is followed up
+CUFF_M = 0.03  # the last part of a sleeve, from which it is followed up
 ARMHOLE_M = 0.1  # the last part of the way to the shoulder, where cloth is the arm's and the trunk's
 LOOSE_M = 0.03  # a button this near to a sleeve is a part of it
 SHOULDER = 3
-OUTER_M, OUTER = 0.35, 0.77  # how far out from an arm lies what covers it, within 40 degrees
-INNER_M, INNER_SHARE, BESIDE_M = 0.5, 0.7, 0.025  # how far to the trunk nothing lies, and of that way; this near to it
-# Points of the arms that are covered and open, those of upper arms among them, and how many of these in sleeves.
+OUTER_M, OUTER = 0.35, 0.77  # cloth that covers an arm lies this far out at most, within 40 degrees
+INNER_M, INNER_SHARE, BESIDE_M = 0.5, 0.7, 0.025  # how far towards the trunk nothing lies; share of the way; width
+# A mantle covers at least so many points of the arms, and of the upper arms, without a sleeve; over these so many at
+# most are in sleeves.
 OPEN_COUNT, UPPER_COUNT, SLEEVED_SHARE = 4, 2, 0.34
 UPPER_POINTS = sum(count for name, count, _, start, _ in BONES if name.endswith("arm") and start.endswith("shoulder"))
 
 
 def sleeve_of(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, skin: np.ndarray) -> np.ndarray:
     """Returns for each of ``vertices`` [m] (V, 3) a number (V,) int: 1 in the left sleeve, 2 in the right one,
-    ``SHOULDER`` (3) at the upper ends of both, 0 elsewhere.
-
-    The body inside has ``joints`` [m] (24, 3) and ``skin`` [m] (N, 3).
-    """
+    ``SHOULDER`` (3) at the upper ends of both, 0 elsewhere. The body inside has ``joints`` [m] (24, 3) and ``skin`` [m]
+    (N, 3)."""
     bones = bones_of(joints, skin)
     nearest = enclosed(vertices, bones)[1]
     axis, way = bones.frames[nearest, 2], vertices - bones.at[nearest]
@@ -67,7 +66,7 @@ def sleeve_of(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, skin:
         cloth = np.flatnonzero(~loose)
         away, near = nearest_vertices(vertices, vertices[cloth])
         beside = np.where(loose & (away < LOOSE_M), sleeve[cloth[near]], 0)
-        for number in (1, 2, SHOULDER):  # as a whole: a belt that an arm hangs by is not torn
+        for number in (1, 2, SHOULDER):  # a piece follows as a whole, so that a belt that an arm hangs by is not torn
             share = np.bincount(label, beside == number) / np.maximum(np.bincount(label), 1)
             sleeve[loose & (share[label] > 0.5)] = number
     return sleeve

@@ -7,16 +7,14 @@ import numpy as np
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.sheets import pieces_of, with_used_vertices
 
-FAR = 2.0  # in extents of the piece with the most faces
-MOST_SHARE = 0.2  # of the faces: more is no stray
+FAR = 2.0  # over the extent of the piece with the most faces
+MOST_SHARE = 0.2  # what has a larger share of the faces is no stray
 
 
 def without_strays(mesh: GarmentMesh) -> GarmentMesh:
     """Returns ``mesh`` without pieces far from the garment, with a note; ``mesh`` itself if there are none, or if they
-    are more than ``MOST_SHARE`` of the faces.
-
-    The piece with the most faces stays, and so do pieces within ``FAR`` of its extents of a piece that stays.
-    """
+    are more than ``MOST_SHARE`` of the faces. The piece with the most faces stays, and so do pieces within ``FAR`` of
+    its extents of a piece that stays."""
     label, areas = pieces_of(mesh.vertices, mesh.faces)
     count = len(areas)
     if count == 1:

@@ -40,10 +40,7 @@ def tailored_digest(garment: Garment, wearer: BodyModel, shoes_m: float = -np.in
 def tailored(garment: Garment, body: BodyModel, wearer: BodyModel, *, shoes_m: float = -np.inf) -> Garment:
     """Returns ``garment``, which was made for ``body``, cut for ``wearer``, a body of the same topology; the garment
     itself if both are one body. Legs of trousers end above ``shoes_m`` [m], the height in the wearer's frame that its
-    shoes reach; by default there are no shoes.
-
-    Raises ``MeshError`` as ``clear_body`` does.
-    """
+    shoes reach; by default there are no shoes. Raises ``MeshError`` as ``clear_body`` does."""
     if body.digest == wearer.digest:
         return garment
     faces, standing = garment.fine_faces.astype(np.int64), garment.vertices.astype(np.float64)

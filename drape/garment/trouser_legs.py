@@ -13,21 +13,18 @@ from drape.garment.avatars import Avatar
 from drape.garment.rest_pose import LEGS, skirt_blend
 from drape.geometry.closest import nearest_vertices
 
-APART_M = 0.003  # cloth of a leg from the plane between both
-HEM_M = 0.02  # the depth of a leg of cloth is that of so much at its end
-LEANING = 0.3  # of half that depth: as shins lean forward, cloth before them comes down to the shoe
-SHORTEST = 0.4  # of the way from knee to ankle: no shoe makes legs of trousers end higher
+APART_M = 0.003  # distance of a leg's cloth from the plane between the legs
+HEM_M = 0.02  # a leg's depth is measured over this length at its end
+LEANING = 0.3  # shins lean forward, so cloth in front comes down to the shoe by this share of half that depth
+SHORTEST = 0.4  # legs keep at least this share of the way from knee to ankle, however high the shoe
 
 
 def above_shoes(
     standing: np.ndarray, faces: np.ndarray, body: BodyModel, wearer: BodyModel, shoes_m: float
 ) -> np.ndarray:
     """Returns the vertices [m] (N, 3) of a garment at ``standing`` on ``body``, its legs shortened below the knees so
-    that they would end above shoes.
-
-    ``standing`` [m] (N, 3), ``faces`` (F, 3). The shoes reach up to ``shoes_m`` [m] on ``wearer``, a body of the same
-    topology. Skirts, and legs that end above the shoes, stay as they are.
-    """
+    that they would end above shoes. ``standing`` [m] (N, 3), ``faces`` (F, 3). The shoes reach up to ``shoes_m`` [m] on
+    ``wearer``, a body of the same topology. Skirts, and legs that end above the shoes, stay as they are."""
     if shoes_m == -np.inf or skirt_blend(standing, faces, Avatar(body.v_template, body.faces, 0.0, ""), body).any():
         return standing
     nearest, shorter = nearest_vertices(standing, body.v_template)[1], standing.copy()
@@ -48,11 +45,8 @@ def above_shoes(
 
 def apart(moved: np.ndarray, standing: np.ndarray, body: BodyModel, wearer: BodyModel) -> np.ndarray:
     """Returns ``moved`` [m] (N, 3), a garment's vertices on ``wearer``, with the cloth of each leg kept on its own side
-    of the plane between the legs.
-
-    Only cloth that is on that side at ``standing`` [m] (N, 3) on ``body`` is kept there: as far from the plane as it
-    was, but no farther than ``APART_M``.
-    """
+    of the plane between the legs. Only cloth that is on that side at ``standing`` [m] (N, 3) on ``body`` is kept there:
+    as far from the plane as it was, but no farther than ``APART_M``."""
     nearest, kept = nearest_vertices(standing, body.v_template)[1], moved.copy()
     hips = [bones[0] for bones in LEGS.values()]
     here, there = (one.joints_template[hips, 0].mean() for one in (body, wearer))

@@ -26,10 +26,8 @@ FADE = 0.35  # patch scales from a vertex that leaves a chart over which the cha
 
 def chart_triangles(blend: ChartBlend, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Returns the triangles of all charts: the patch (T,) of each, and its corners (T, 3) as rows of the flattened
-    chart entries, ``4 * vertex + slot``.
-
-    A face of ``faces`` (F, 3) is a triangle of each chart in which all its three vertices have a weight.
-    """
+    chart entries, ``4 * vertex + slot``. A face of ``faces`` (F, 3) is a triangle of each chart in which all its three
+    vertices have a weight."""
     slots = blend.patch.shape[1]
     used = blend.weight > 0
     owners, corners = [], []
@@ -60,7 +58,7 @@ def folded_charts(blend: ChartBlend, uv: np.ndarray, faces: np.ndarray) -> np.nd
     owner, corners = chart_triangles(blend, faces)
     places, count = uv.reshape(-1, 2).astype(np.float64), int(blend.patch.max()) + 1
     folded = np.bincount(owner[signed_areas(places, corners) <= 0.0], minlength=count) > 0
-    rim = boundary_edges(corners)  # of all charts, since no two of them share an entry
+    rim = boundary_edges(corners)  # the rims of all charts, since no two of them share an entry
     rows = rows_of_patches(blend.patch.reshape(-1)[rim[:, 0]], count)
     for k in np.flatnonzero(~folded):
         folded[k] = edges_cross(places, rim[rows[k]])
@@ -81,17 +79,14 @@ def without_folds(
     blend: ChartBlend, local: np.ndarray, scale: np.ndarray, faces: np.ndarray, like: Atlas | None = None
 ) -> Flattened:
     """Returns the charts ``blend`` of vertices at ``local`` [m] (N, 4, 3) in the patches' frames: projected onto the
-    patch's plane, but laid flat where the projection folds.
-
-    ``scale`` (K,) [m per unit of u, v]. Vertices leave a chart where it has to be cut, or hangs on by a corner, if
-    another chart holds them; around them its weight fades, so that the blend stays continuous. Charts are laid as in
-    ``like``, an atlas with the same ``blend``, where that fits.
-    """
+    patch's plane, but laid flat where the projection folds. ``scale`` (K,) [m per unit of u, v]. Vertices leave a chart
+    where it has to be cut, or hangs on by a corner, if another chart holds them; around them its weight fades, so that
+    the blend stays continuous. Charts are laid as in ``like``, an atlas with the same ``blend``, where that fits."""
     slots = blend.patch.shape[1]
     uv = local[..., :2] / scale[blend.patch][..., None]
     count = len(scale)
     folded = np.zeros(count, dtype=bool)
-    found = folded_charts(blend, uv.astype(np.float32), faces)  # as caches store them
+    found = folded_charts(blend, uv.astype(np.float32), faces)  # the precision of caches
     folded[: len(found)] = found
     if not folded.any():
         return Flattened(blend, uv, folded)
@@ -161,10 +156,8 @@ def _keep_one(weight: np.ndarray, before: np.ndarray) -> np.ndarray:
 
 def fit_planes(jet: np.ndarray, flattened: Flattened, local: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Returns ``jet`` (K, 27) with in-plane polynomials that follow ``local`` [m] (N, 4, 3), vertices in the patches'
-    frames, in the charts that were laid flat; other patches keep theirs. ``scale`` (K,) [m per unit of u, v].
-
-    It is ridge least squares on the departure from the identity, weighed as the blend does.
-    """
+    frames, in the charts that were laid flat; other patches keep theirs. ``scale`` (K,) [m per unit of u, v]. It is
+    ridge least squares on the departure from the identity, weighed as the blend does."""
     jet = jet.copy()
     patch, weight = flattened.blend.patch, flattened.blend.weight
     for k in np.flatnonzero(flattened.unfolded):

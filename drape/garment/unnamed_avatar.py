@@ -47,10 +47,7 @@ def worn_by(
     mesh: GarmentMesh, body: BodyModel, options: IntakeOptions, hints: ReadingHints = NO_HINTS
 ) -> tuple[GarmentMesh, Avatar, WearerCandidate]:
     """Returns the checked ``mesh`` in metres, y up, facing +z; the avatar that was found in it, in the same frame; and
-    how it was found.
-
-    ``hints``: what was stated of the file. Raises ``MeshError`` where no human body fits.
-    """
+    how it was found. ``hints``: what was stated of the file. Raises ``MeshError`` where no human body fits."""
     reading = ReadingHints(
         (options.unit, UNITS_M[options.unit]) if hints.unit is None and options.unit != "auto" else hints.unit,
         f"+{options.up}" if hints.up is None and options.up != "auto" else hints.up,

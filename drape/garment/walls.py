@@ -23,19 +23,19 @@ from drape.geometry.closest import SearchedMesh
 from drape.geometry.symmetric import symmetric_factor
 
 SAME_M = 1e-5  # places so near to each other are one
-PROBES_M = (0.003, 0.008, 0.015)  # below a face: a wall at up to twice the depth is nearer than the face itself
+PROBES_M = (0.003, 0.008, 0.015)  # below a face: a wall at up to twice the depth is nearer to the probe than the face
 FACING = 0.5  # cosine between the sides of a wall, whichever way they are wound
-WALLED_SHARE = 0.5  # of a piece's area that must have a second side
-OWN_SHARE = 0.5  # of that, what must have it in the same piece: of two sheets one lies on the other
+WALLED_SHARE = 0.5  # share of a wall's area that has a second side
+OWN_SHARE = 0.5  # share of this that has it in the same piece: of two sheets one lies on the other
 # Most of a wall is as thin as its thin parts, by the median over the lower quartile, whatever lies beyond it elsewhere.
 # Its sides lie one over the other, by the median of |s|; folds of one layer lie side by side.
 EVEN, OVER = 1.6, 0.5
-CLOSED_SHARE = 0.9  # of a piece without any border: all of it is wall
-RIM_M = 0.035  # the rim between two walls
+CLOSED_SHARE = 0.9  # share above which a piece without a border is all wall
+RIM_M = 0.035  # width of the rim between the two sides
 # P and S of the formula: S once for s, whose noise goes far, and once with the signs found, for which rims stand out.
 PAIRED, SIDED = 0.1, (0.01, 0.5)
-LEAST_COSINE = 0.01  # of an edge: none parts the faces wholly
-OUTER = 0.5  # of the outer side's median phi: less is on the rim
+LEAST_COSINE = 0.01  # no edge separates its faces completely
+OUTER = 0.5  # faces with less of the outer side's median phi are on the rim
 SAMPLED_FACES = 4000
 
 
@@ -46,7 +46,7 @@ def outer_sides(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarr
     middles, normals = points[faces].mean(axis=1), meshes.face_normals(points, faces)
     areas = meshes.face_areas(points, faces)
     mesh = SearchedMesh(points, faces)
-    some = np.arange(0, len(faces), max(1, len(faces) // SAMPLED_FACES))  # of most garments they tell that it has none
+    some = np.arange(0, len(faces), max(1, len(faces) // SAMPLED_FACES))  # they show if there may be walls
     walled = opposite_faces(mesh, some, middles, normals) >= 0
     seen = np.bincount(piece[some], areas[some], minlength=len(points))
     share = np.bincount(piece[some], walled * areas[some], minlength=len(points)) / np.maximum(seen, 1e-12)
@@ -80,11 +80,8 @@ def farther(middles: np.ndarray, other: np.ndarray, skin: KDTree) -> np.ndarray:
 
 def smoothed_sides(faces: np.ndarray, normals: np.ndarray, other: np.ndarray, side: np.ndarray) -> np.ndarray:
     """Returns phi (F,) for the ``faces`` (F, 3) of one piece: positive on the outer side of a wall, negative on the
-    inner one.
-
-    It smooths ``side`` (F,), what ``farther`` returns, along the faces. ``normals`` (F, 3); ``other`` (F,): the face
-    opposite to each within the piece, or -1.
-    """
+    inner one. It smooths ``side`` (F,), what ``farther`` returns, along the faces. ``normals`` (F, 3); ``other`` (F,):
+    the face opposite to each within the piece, or -1."""
     count, pairs = len(faces), meshes.edge_pairs(faces)
     weight = np.maximum(meshes.edge_cosines(pairs, normals), LEAST_COSINE) ** 2
     edges = mesh_graphs.edge_matrix(np.stack([pairs[1] // 3, pairs[2] // 3], axis=1), weight, count)

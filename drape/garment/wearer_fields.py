@@ -23,12 +23,12 @@ from drape.garment.registration import FREE_JOINTS, posed_by, start_parameters, 
 from drape.geometry import meshes
 
 CELL_M = 0.025
-MARGIN_M = 0.2  # of the grid round the body, and as many cells more in which cloth is nowhere:
-ROOM = 28
-MARGIN_CELLS = round(MARGIN_M / CELL_M) - 2  # at every side of the grid are outside, whatever is rounded
+MARGIN_M = 0.2  # of the grid around the body
+ROOM = 28  # cells around that grid, where cloth is far from the body
+MARGIN_CELLS = round(MARGIN_M / CELL_M) - 2  # cells at every side of the grid that are outside the body
 FREE_M = 0.01  # cloth as delivered is this deep in the skin here and there
-DEEP_M, DEEP_MOST = 0.02, 4.0  # depth that costs one, and the most that a point of cloth costs
-FAR_M = 0.08  # distance outside at which half of the cost of being nowhere is reached
+DEEP_M, DEEP_MOST = 0.02, 4.0  # depth that costs 1; most that a point of cloth costs
+FAR_M = 0.08  # distance outside that costs 0.5; far outside it is 1
 THIN_M = 0.02  # spacing of the skin's points in a fit
 # Shapes of the standard body: anny's and MakeHuman's young adults, by registration.fit_body of their phenotypes.
 SHAPES = {
@@ -38,7 +38,7 @@ SHAPES = {
     "woman": (-0.357, 0.091, -1.416, 0.739, 1.396, -0.038, -0.208, 0.049, -0.890, 0.203),
     "small woman": (-1.190, 0.100, -1.400, 0.850, 1.500, -0.500, -0.300, 0.100, -0.800, 0.220),
 }
-BENT_RAD = 0.7  # MakeHuman's elbows
+BENT_RAD = 0.7  # bend of MakeHuman's elbows
 # Shape, how far the arms hang below the horizontal [rad], how far the elbows are bent forward [rad], and the cost of
 # such arms where cloth does not show them.
 KNOWN = (
@@ -63,7 +63,7 @@ BONES = (
     *((f"{side} leg", 5, 0.8, f"{side}_knee", f"{side}_ankle") for side in ("left", "right")),
     *((f"{side} leg", 2, 0.3, f"{side}_ankle", f"{side}_foot") for side in ("left", "right")),
 )
-CROWN = 1.3  # the head above its joint, over the way from the neck to that
+CROWN = 1.3  # height of the head above its joint, over the way from the neck to the joint
 SLAB_M = 0.06  # cloth this far along a bone from one of its points lies round it
 DENSE_COUNT = 4000  # points on the cloth, for what a line between limbs and trunk meets
 BIN_COUNT = 12  # directions round a bone; a point of cloth covers its own and both neighbours
@@ -78,7 +78,7 @@ def thin_body(body: BodyModel) -> BodyModel:
     faces = label.reshape(-1)[body.faces]
     kept = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     shapes, joints = body.shapedirs[first], body.joint_shapedirs
-    # Any rows that give the joints of every shape do: here the smallest.
+    # Any regressor that gives the joints of every shape will do; this is the least one.
     known = np.concatenate([body.v_template[first], shapes.reshape(len(first), -1), np.ones((len(first), 1))], axis=1)
     wanted = np.concatenate([body.joints_template, joints.reshape(JOINT_COUNT, -1), np.ones((JOINT_COUNT, 1))], axis=1)
     regressor = np.linalg.lstsq(known.T, wanted.T, rcond=None)[0].T
@@ -231,7 +231,7 @@ def field_of(body: BodyModel, parameters: np.ndarray) -> Field:
     """Returns the grid of the costs of cloth around ``body`` with ``parameters``, betas, joint rotations and
     translation as in ``unpack_parameters``."""
     skin = posed_by(body, parameters)
-    spread = np.array([(a, b, 3 - a - b) for a in range(4) for b in range(4 - a)]) / 3.0  # no cell of a face is missed
+    spread = np.array([(a, b, 3 - a - b) for a in range(4) for b in range(4 - a)]) / 3.0  # so that no cell is missed
     low = skin.min(axis=0) - MARGIN_M
     shape = np.ceil((skin.max(axis=0) + MARGIN_M - low) / CELL_M).astype(int) + 1
     solid = np.zeros(shape, dtype=bool)

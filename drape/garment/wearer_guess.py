@@ -29,7 +29,7 @@ from drape.garment.wearer_reading import Reading
 
 RISE_CELLS, DEPTH_CELLS = 2, np.arange(-4, 5, 2, dtype=np.int32)
 PLACES, READINGS, PIERCED_COUNT = 2, 8, 40
-FAIR = 0.35  # a unit whose best guess is worse by more is none: cloth that hangs far away tells little to guesses
+FAIR = 0.35  # units whose best guess is worse by less are tried too: guesses know little of cloth that hangs far away
 AT_ONCE = np.zeros(1, dtype=np.int32)
 
 
@@ -48,11 +48,8 @@ class Guess:
 
 def guesses_of(cloth: SearchedCloth, fields: Sequence[Field], readings: Sequence[Reading]) -> list[Guess]:
     """Returns guesses at the body in ``cloth``: places of the known bodies, whose costs are ``fields``, in each of
-    ``readings``; the likeliest first.
-
-    They are ranked by distances from the skin. The best of them are judged by what the cloth encloses and by the bones
-    that it is not open for, too.
-    """
+    ``readings``; the likeliest first. They are ranked by distances from the skin. The best of them are judged by what
+    the cloth encloses and by the bones that it is not open for, too."""
     laid = forked.each(lambda reading: _over_arms(cloth, fields, reading) + _places(cloth, fields, reading), readings)
     places = {reading: guesses for reading, guesses in zip(readings, laid, strict=True) if guesses}
 

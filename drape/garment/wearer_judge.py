@@ -12,29 +12,29 @@ from drape.garment.searched_cloth import SearchedCloth
 from drape.garment.wearer_fields import SHAPES, Bones, bones_of, enclosed, joints_of, point_cost
 from drape.garment.wearer_reading import Reading, WearerCandidate
 
-BAND_M, BAND_WEIGHT = 0.15, 2.0  # from the top: there a garment hangs on its body
-# Off the cost of walls of cloth that hang below it, away from the skin: those of skirts, and of capes over arms.
+BAND_M, BAND_WEIGHT = 0.15, 2.0  # a garment hangs on its body in this band at its top
+# Shares taken off the cost of upright cloth below that band, away from the skin: of skirts, and of capes over arms.
 HANGING, HANGING_OVER_ARMS = 0.3, 0.9
-SHAPE_COST = 0.01  # of a squared beta beside the nearest known shape's
+SHAPE_COST = 0.01  # cost of a squared beta, counted from the nearest known shape
 UPRIGHT = [JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "neck", "head")]
-TURNED_COST = 0.3  # of a squared radian of all these together: who wears a garment stands straight
-HEIGHT_M, HEIGHT_SPREAD_M, HEIGHT_COST = 1.73, 0.13, 0.01  # of people; the cost of one spread
+TURNED_COST = 0.3  # cost of the squared turn [rad] of these joints together: wearers stand straight
+HEIGHT_M, HEIGHT_SPREAD_M, HEIGHT_COST = 1.73, 0.13, 0.01  # heights of people; cost of one spread
 # Costs of a body whose root and soles are away from the origin, of a bone through the cloth, of cloth on one side
 # alone, of an opening without a bone, and of cloth where none is worn (``misplaced``).
 ODD_ORIGIN, ODD_PIERCED, ODD_SIDE, ODD_EMPTY, ODD_PLACE = 0.03, 0.1, 0.3, 0.05, 0.3
 EMPTY_MOST = 1  # long openings without a bone that a garment has: a vent, a pocket, a hood's
-# Of the points on the cloth: of a piece that counts, and of it on limbs or the head alone, and above all of that.
+# Shares: of all points, those on a piece that counts; of its points, those off the trunk, or above the crown.
 PIECE_SHARE, OFF_TRUNK, ABOVE = 0.2, 0.995, 0.75
-WRONG_MOST = 0.5  # of the cloth that is misplaced
+WRONG_MOST = 0.5  # share of the cloth that may be misplaced
 ORIGIN_M = 0.05  # a body whose root or soles are this near to the file's origin stands where bodies do
 INSIDE_LIMIT, OPEN_LIMIT, BAND_LIMIT_M = 0.12, 0.35, 0.08
-DEEP_M, INSIDE_COST = 0.01, 0.5  # and what the share of cloth that is deeper in the skin costs
-UNEVEN, UNEVEN_MOST_M = 10.0, 0.03  # cost of a metre from the usual distance where cloth hangs, and of one in the skin
-SLEEVE_SHARE = 0.04  # of the cloth that must lie on the arms to tell their pose
-UNIT_INSIDE = 0.06  # cloth inside up to which a unit is meant
-# A body beyond has not worn it, nor one in a reading that is so odd: a unit that is none, sideways.
+DEEP_M, INSIDE_COST = 0.01, 0.5  # cost of the share of cloth that is deeper in the skin
+UNEVEN, UNEVEN_MOST_M = 10.0, 0.03  # cost of a metre off the median distance at the top, or in the skin; most of it
+SLEEVE_SHARE = 0.04  # share of the cloth that must lie on the arms to show their pose
+UNIT_INSIDE = 0.06  # share of cloth in the skin up to which a unit is accepted
+# A body of more energy has not worn the cloth; in a reading odder than RARE the limit is RARE_LIMIT.
 ENERGY_LIMIT, RARE_LIMIT, RARE = 0.7, 0.42, 0.03
-HELD_LIMIT = 0.25  # without what hangs away from the skin, up to which a train may be as long as it likes
+HELD_LIMIT = 0.25  # energy without what hangs away from the skin, up to which a train may be of any length
 
 
 def judge(
@@ -67,7 +67,7 @@ def judge(
     over_arms = top < BAND_LIMIT_M and cloth.covers(reading, bones)
     cost *= 1.0 - (HANGING_OVER_ARMS if over_arms else HANGING) * wall * hanging
     among = float(cost[~hanging].sum()) + open_share + odd + uneven
-    among += ODD_ORIGIN if over_arms and not origin else 0.0  # such cloth tells little else of who is in it
+    among += ODD_ORIGIN if over_arms and not origin else 0.0  # such cloth shows little else of who wears it
     energy = float(cost.sum()) + open_share + odd + INSIDE_COST * float(inside.mean())
     far = energy > RARE_LIMIT if reading.oddness > RARE else energy > ENERGY_LIMIT and among > HELD_LIMIT
     fault = _place_fault(empty, wrong) or _inside_fault(inside, parts)
@@ -129,12 +129,10 @@ def one_sided(bones: Bones, nearest: np.ndarray) -> float:
 
 
 def misplaced(points: np.ndarray, bones: Bones, nearest: np.ndarray, piece: np.ndarray) -> float:
-    """Returns the share in [0, 1] of the cloth at ``points`` [m] (N, 3) that lies where no garment is worn.
-
-    That is a piece around limbs of both sides with hardly any cloth on the trunk, a piece that lies on top of the
-    crown, and pieces on the head where there are several. ``nearest`` (N,) is the row in ``bones`` nearest to each
-    point, and ``piece`` (N,) the number of its piece.
-    """
+    """Returns the share in [0, 1] of the cloth at ``points`` [m] (N, 3) that lies where no garment is worn. That is a
+    piece around limbs of both sides with hardly any cloth on the trunk, a piece that lies on top of the crown, and
+    pieces on the head where there are several. ``nearest`` (N,) is the row in ``bones`` nearest to each point, and
+    ``piece`` (N,) the number of its piece."""
     parts = np.array(bones.part)
     side = np.array([part.startswith("left") - 1 * part.startswith("right") for part in parts])[nearest]
     head, crown = parts[nearest] == "head", np.flatnonzero(parts == "head")[-1]

@@ -18,7 +18,7 @@ from drape.garment.registration import unpack_parameters
 from drape.garment.wearer_fields import SHAPES
 
 ODD = {"inch": 0.02, "free": 0.12, "x up": 0.02, "downward": 0.1, "facing": 0.05}  # costs of readings that few write
-FREE_WORSE = 0.03  # so much better must a size between the units be
+FREE_WORSE = 0.03  # a size between the units must fit better by this
 AXES = ("+y", "-y", "+z", "-z", "+x", "-x")
 USUAL_FRONTS = {"+y": ("+z",), "+z": ("-y", "+x"), "+x": ("+y", "+z", "-z")}
 
@@ -91,10 +91,8 @@ class WearerCandidate:
 
     @property
     def rank(self) -> float:
-        """Returns the number by which candidates of different readings are compared; the least is the best.
-
-        Cloth that hangs far away counts half: a train does not make a hood of a gown.
-        """
+        """Returns the number by which candidates of different readings are compared; the least is the best. Cloth that
+        hangs far away counts half: a train does not make a hood of a gown."""
         return 0.5 * (self.energy + self.among) + (FREE_WORSE if self.reading.unit == "free" else 0.0)
 
     @property

@@ -31,26 +31,26 @@ from drape.garment.wearer_guess import Guess, guesses_of
 from drape.garment.wearer_judge import UNIT_INSIDE, judge
 from drape.garment.wearer_reading import USUAL_FRONTS, Reading, WearerCandidate, readings_of
 
-FREE_EXTENTS_M = 0.3 * 1.2 ** np.arange(10)  # tried where no unit fits
+FREE_EXTENTS_M = 0.3 * 1.2 ** np.arange(10)  # extents that are tried where no unit fits
 FIT_COUNT = 500  # points on the cloth
 FINALISTS, RIVALS, WINNERS = 6, 2, 3
-CLEARLY, WORSE = 0.1, 0.03  # a fit that is worse by this after a few steps stays worse; one that went astray
+CLEARLY, WORSE = 0.1, 0.03  # a fit worse by the first after a few steps stays worse; by the second it went astray
 FIRST_STEPS, LAST_STEPS, FREE_STEPS, LOCK = 5, 15, 12, 0.5
-# Arms that hang so far below the horizontal are tried too, at such a cost.
+# Arms this far below the horizontal are tried too, at this cost.
 ARM_LIFTS_RAD, ODD_ARMS = (1.5, 1.35, 1.1, 0.85, 0.6, 0.3, -0.4), 0.02
-# Arms before the body are asked for where straight ones lie so badly in sleeves; upper arms turn in by such a share.
+# Arms in front of the body are tried where straight ones have more energy; upper arms turn in by BENT_INWARD.
 BENT_ENERGY, BENT_LIFTS_RAD, BENDS_RAD, BENT_INWARD = 0.25, (1.35, 1.0, 0.6), (0.8, 1.5), 0.2
 SLACK = 0.1  # wide legs and hems would slide up to where the body is wider; what carries a garment is its top
-# What a metre from its place is worth, where the file's origin is at the root, on the floor, or anywhere. Roots are
-# higher or lower in other makers' bodies.
+# Root of the cost of a metre from the likely place, if the file's origin is at the root, on the floor, or anywhere. The
+# roots of other makers' bodies are higher or lower.
 ORIGIN_PRIOR_M = {"root": np.array([0.2, 0.06, 0.2]), "floor": np.array([0.2, 1e-4, 0.2]), "": np.full(3, 1e-4)}
-UNIT_ENOUGH = 0.3  # energy up to which a unit is meant
+UNIT_ENOUGH = 0.3  # energy up to which a unit is accepted
 LOOSE_INSIDE, LOOSE_ENOUGH = 0.015, 0.35  # cloth inside and energy of capes and other cloth that stands off
 # Cloth inside, open share and energy of a garment on the standard body at its origin, and of one in metres, y up.
 LIMITS, PLAIN_LIMITS = (0.005, 0.2, 0.6), (0.002, 0.45, 0.8)
-SHAPE_PRIOR_M = np.array([5.0e-3, *[2.5e-3] * 9])  # of the betas in a fit: the first one is the height
-HELD_M, HELD = 0.06, 0.12  # moved so far up or down, the energy rises by this where a garment does not slide;
-HELD_ORIGIN = 0.5  # the file's origin is as good a sign
+SHAPE_PRIOR_M = np.array([5.0e-3, *[2.5e-3] * 9])  # root of the cost of each beta; the first one is the height
+HELD_M, HELD = 0.06, 0.12  # a garment that does not slide gains this energy when moved so far
+HELD_ORIGIN = 0.5  # the file's origin counts as much
 AS_GOOD, SLID_M = 0.02, 0.08  # bodies that fit as well, so far apart, leave no place to be sure of
 RIVAL = 0.15  # a reading that is worse by this leaves no doubt
 NEARLY, APART_M, MOST_OTHERS = 0.05, 0.06, 2  # worse by less is nearly as likely; so far off it is another body
@@ -59,10 +59,8 @@ NEARLY, APART_M, MOST_OTHERS = 0.05, 0.06, 2  # worse by less is nearly as likel
 def find_wearers(mesh: GarmentMesh, body: BodyModel, hints: ReadingHints = NO_HINTS) -> list[WearerCandidate]:
     """Returns the bodies that may have worn ``mesh``, a checked mesh in the frame of its file, the likeliest first;
     empty if no unit makes it as large as a garment. ``hints``, what was stated of the file, limits the readings that
-    are tried.
-
-    Bodies of one reading stand at least ``APART_M`` apart. The first has its ``others``, which are nearly as likely.
-    """
+    are tried. Bodies of one reading stand at least ``APART_M`` apart. The first has its ``others``, which are nearly as
+    likely."""
     cloth = SearchedCloth(mesh)
     units = UNITS_M.items() if hints.unit is None else (hints.unit,)
     named = [reading for reading in readings_of(units, hints.up, hints.front) if cloth.may_be(reading.scale)]
@@ -253,7 +251,7 @@ def _fit(
     points, normals = reading.apply(cloth.points), cloth.normals @ reading.turn.T
     skin = posed_by(body, start)
     near = KDTree(skin).query(points)[1]
-    # By pieces: a wall of a sleeve that lies in the arm, or beyond it, shall come back.
+    # Normals are turned by whole pieces, so that a sleeve's wall in the arm, or beyond it, comes back.
     agreement = np.einsum("nc,nc->n", normals, posed_normals(body, skin)[near])
     facing = np.where(np.bincount(cloth.piece, agreement)[cloth.piece] < 0.0, -1.0, 1.0)
     likely = start.copy()

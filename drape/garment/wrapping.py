@@ -30,7 +30,7 @@ class Wrapping:
     def __init__(self, garment: Garment) -> None:
         placing = corner_weights(garment)
         self._counted = np.asarray(placing.sum(axis=0)).ravel() / RELAXATION
-        added = placing[garment.vertex_count :]  # those before are corners
+        added = placing[garment.vertex_count :]  # the vertices before these are corners
         row = np.repeat(np.arange(added.shape[0]), np.diff(added.indptr))
         column = np.arange(added.nnz) - added.indptr[row]
         self._corner, self._weight = np.zeros((added.shape[0], 3), np.int32), np.zeros((added.shape[0], 3))

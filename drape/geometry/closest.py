@@ -84,12 +84,10 @@ def on_border(nearest: ClosestPoints, faces: np.ndarray) -> np.ndarray:
 
 
 def signed_distance(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Returns the distances [m] (N,) of ``points`` (N, 3) from a closed mesh, negative inside.
-
-    The sign is that of the angle-weighted pseudo-normal at the nearest point (Baerentzen & Aanaes 2005): exact for a
-    closed mesh without self-intersections, and local where a posed body cuts into itself. Raises ``MeshError`` for
-    arrays that are no points or no finite mesh with faces.
-    """
+    """Returns the distances [m] (N,) of ``points`` (N, 3) from a closed mesh, negative inside. The sign is that of the
+    angle-weighted pseudo-normal at the nearest point (Baerentzen & Aanaes 2005): exact for a closed mesh without
+    self-intersections, and local where a posed body cuts into itself. Raises ``MeshError`` for arrays that are no
+    points or no finite mesh with faces."""
     points, vertices, faces = _checked(points, vertices, faces)
     if len(points) == 0:
         return np.zeros(0)
@@ -98,10 +96,8 @@ def signed_distance(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray)
 
 
 class ClosedMesh(SearchedMesh):
-    """A closed mesh that is asked for signed distances many times: ``vertices`` [m] (V, 3), ``faces`` (F, 3).
-
-    Its search tree and the normals that decide signs are made once; signs are those of ``signed_distance``.
-    """
+    """A closed mesh that is asked for signed distances many times: ``vertices`` [m] (V, 3), ``faces`` (F, 3). Its
+    search tree and the normals that decide signs are made once; signs are those of ``signed_distance``."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         super().__init__(vertices, faces)

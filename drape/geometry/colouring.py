@@ -18,10 +18,7 @@ def colour_order(graph: scipy.sparse.csr_matrix) -> tuple[np.ndarray, np.ndarray
 
 def greedy_colours(start: np.ndarray, neighbour: np.ndarray) -> np.ndarray:
     """Returns for each vertex a colour (V,) int32 from 0: in the order of vertices, the least that no earlier neighbour
-    has.
-
-    The neighbours of v are ``neighbour[start[v] : start[v + 1]]``, which may have v itself.
-    """
+    has. The neighbours of v are ``neighbour[start[v] : start[v + 1]]``, which may have v itself."""
     graph = np.ascontiguousarray(start, np.int32), np.ascontiguousarray(neighbour, np.int32)
     colour = np.empty(len(start) - 1, np.int32)
     call_with_scratch("greedy_colours", np.float64, *graph, len(colour), colour)

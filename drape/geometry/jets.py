@@ -89,7 +89,7 @@ def full(jet: Array) -> Array:
 
 def evaluate_jet(jet: Array, uv: Array, *, u_times: int = 0, v_times: int = 0) -> Array:
     """Returns the position (p, q, h) (..., 3) of the vector jet ``jet`` (..., 27 or 45) at the parameters ``uv`` (...,
-    2), in the patch's frame [patch scales], or its derivative by u and v."""
+    2), in the patch's frame [patch scales], or its derivative, ``u_times`` by u and ``v_times`` by v."""
     xp = namespace(jet)
     p, q, h = unpack(jet)
     height = basis_derivative(uv, HEIGHT_ORDER, u_times=u_times, v_times=v_times)

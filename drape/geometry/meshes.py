@@ -118,11 +118,8 @@ def hinge_faces(faces: np.ndarray) -> np.ndarray:
 
 def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
     """Returns the vertices (n,) of every closed boundary in the order of its half-edges, the boundary with the most
-    vertices first.
-
-    Where two boundaries touch in a vertex the walk takes either branch. Where neighbouring faces disagree in
-    orientation a boundary falls into open chains.
-    """
+    vertices first. Where two boundaries touch in a vertex the walk takes either branch. Where neighbouring faces
+    disagree in orientation a boundary falls into open chains."""
     halves = half_edges(faces)[:, :2]
     number, counts = edges_of_halves(halves)
     border = halves[counts[number] == 1]
@@ -151,11 +148,9 @@ def in_use(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def subdivide(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns vertices (N, C), faces (4F, 3) and the two parents (N, 2) of every vertex after midpoint subdivision.
-
-    The original vertices come first, in their order, and are their own parents; any attribute of a vertex is the mean
-    of its parents'. Face ``4 f + c`` is the corner c of face f, ``4 f + 3`` its middle.
-    """
+    """Returns vertices (N, C), faces (4F, 3) and the two parents (N, 2) of every vertex after midpoint subdivision. The
+    original vertices come first, in their order, and are their own parents; any attribute of a vertex is the mean of
+    its parents'. Face ``4 f + c`` is the corner c of face f, ``4 f + 3`` its middle."""
     count = len(vertices)
     ends = np.sort(half_edges(faces)[:, :2], axis=1)
     edges, inverse = np.unique(ends, axis=0, return_inverse=True)
@@ -223,10 +218,8 @@ def vertex_sums(values: Array, table: np.ndarray) -> Array:
 
 def vertex_normals(vertices: Array, faces: np.ndarray, *, table: np.ndarray | None = None) -> Array:
     """Returns the unit normals (..., V, 3) of vertices: the normals of the faces around a vertex, weighted by area. It
-    is zero for a vertex without faces.
-
-    ``table``: what ``face_table(faces, V)`` returns, for a mesh that comes more than once.
-    """
+    is zero for a vertex without faces. ``table``: what ``face_table(faces, V)`` returns, for a mesh that comes more
+    than once."""
     table = face_table(faces, vertices.shape[-2]) if table is None else table
     return _unit(vertex_sums(area_vectors(vertices, faces), table))
 

@@ -51,11 +51,8 @@ def render(
     light: np.ndarray = LIGHT,
 ) -> np.ndarray:
     """Returns an orthographic picture of ``surfaces``, RGB (height, width, 3) in [0, 1] on white; ``size`` is (height,
-    width) [pixels].
-
-    ``centre`` [m] (3,): the middle of the view, and ``extent_m``, its height; by default all surfaces fit. ``light``
-    (3,): the unit direction to the light in the camera's axes; from the side it shows folds.
-    """
+    width) [pixels]. ``centre`` [m] (3,): the middle of the view, and ``extent_m``, its height; by default all surfaces
+    fit. ``light`` (3,): the unit direction to the light in the camera's axes; from the side it shows folds."""
     height, width = size
     view = view_matrix(azimuth_deg, elevation_deg)
     everything = np.concatenate([s.vertices for s in surfaces])

@@ -16,11 +16,8 @@ def apply(rotation: Array, translation: Array, points: Array) -> Array:
 
 def forward_kinematics(local_rotations: Array, joints: Array, parents: Sequence[int]) -> tuple[Array, Array]:
     """Returns the world rotations (..., J, 3, 3) of joints and their world positions [m] (..., J, 3). The root stays at
-    its rest position.
-
-    ``local_rotations`` (..., J, 3, 3) turn each joint relative to its parent; ``joints`` [m] (..., J, 3) are rest
-    positions; ``parents[j] < j``, the root's is -1. Batch axes broadcast.
-    """
+    its rest position. ``local_rotations`` (..., J, 3, 3) turn each joint relative to its parent; ``joints`` [m] (...,
+    J, 3) are rest positions; ``parents[j] < j``, the root's is -1. Batch axes broadcast."""
     xp = namespace(local_rotations)
     rotations: list[Array] = []
     positions: list[Array] = []

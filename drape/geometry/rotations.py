@@ -57,10 +57,8 @@ def quaternion_to_matrix(wxyz: Array) -> Array:
 
 
 def matrix_to_quaternion(matrix: Array) -> Array:
-    """Returns the unit quaternions wxyz (..., 4), w >= 0, of rotation matrices (..., 3, 3).
-
-    It takes the largest of the four candidate rows (Bar-Itzhack's matrix), so it stays accurate at half turns.
-    """
+    """Returns the unit quaternions wxyz (..., 4), w >= 0, of rotation matrices (..., 3, 3). It takes the largest of the
+    four candidate rows (Bar-Itzhack's matrix), so it stays accurate at half turns."""
     xp = namespace(matrix)
     m = matrix
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]

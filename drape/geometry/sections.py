@@ -12,11 +12,9 @@ from scipy.spatial import ConvexHull, QhullError
 
 class Section(NamedTuple):
     """Where a plane cuts a mesh: it crosses M edges, and N faces along a segment between two of these crossings.
-
     ``face`` (N,): the faces. ``edge`` (M, 2): the vertices of the edges, the smaller first. ``share`` (M,) in [0, 1]:
     the crossing's share of the way from the first to the second vertex. ``ends`` (N, 2): the crossings, as rows of
-    ``edge``, at the ends of each segment.
-    """
+    ``edge``, at the ends of each segment."""
 
     face: np.ndarray
     edge: np.ndarray
@@ -40,10 +38,7 @@ class Ring(NamedTuple):
 
 def level_section(faces: np.ndarray, vertices: np.ndarray, y: float) -> Section:
     """Returns the section of the mesh ``faces`` (F, 3), ``vertices`` [m] (V, 3) with the horizontal plane at the height
-    ``y`` [m].
-
-    A vertex in the plane counts as below it, so no triangle is touched in a point alone.
-    """
+    ``y`` [m]. A vertex in the plane counts as below it, so no triangle is touched in a point alone."""
     above = vertices[:, 1] > y
     face = np.flatnonzero(above[faces].any(axis=1) & ~above[faces].all(axis=1))
     cut = faces[face]

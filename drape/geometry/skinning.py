@@ -7,11 +7,9 @@ from drape.geometry.rotations import quaternion_to_matrix
 
 
 def skin_points(points: Array, weights: Array, rotations: Array, translations: Array) -> Array:
-    """Returns posed points [m] (..., n, 3): ``sum_j w_j (R_j x + t_j)``.
-
-    ``points`` x [m] (..., n, 3) are in the rest pose, ``weights`` w (n, J); rotations R (..., J, 3, 3) and translations
-    t [m] (..., J, 3) are those of ``rigid.bone_transforms``.
-    """
+    """Returns posed points [m] (..., n, 3): ``sum_j w_j (R_j x + t_j)``. ``points`` x [m] (..., n, 3) are in the rest
+    pose, ``weights`` w (n, J); rotations R (..., J, 3, 3) and translations t [m] (..., J, 3) are those of
+    ``rigid.bone_transforms``."""
     xp = namespace(points)
     flat = xp.reshape(rotations, (*rotations.shape[:-2], 9))
     matrices = xp.reshape(weights @ flat, (*rotations.shape[:-3], weights.shape[0], 3, 3))

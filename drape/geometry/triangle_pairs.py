@@ -26,11 +26,9 @@ def pairs_within(
     x: np.ndarray, faces: np.ndarray, edges: np.ndarray, reach_m: float
 ) -> tuple[Pairs, np.ndarray, np.ndarray]:
     """Returns the pairs of elements nearer to each other than ``reach_m`` that share no vertex, weights (N, 4) of their
-    corners, and vectors [m] (N, 3) between the nearest points of each pair.
-
-    A pair is a vertex and one of ``faces`` (F, 3), or two of ``edges`` (E, 2), at ``x`` [m] (V, 3). Its vector is the
-    sum of its four corners, each times its weight, so weights sum to zero.
-    """
+    corners, and vectors [m] (N, 3) between the nearest points of each pair. A pair is a vertex and one of ``faces`` (F,
+    3), or two of ``edges`` (E, 2), at ``x`` [m] (V, 3). Its vector is the sum of its four corners, each times its
+    weight, so weights sum to zero."""
     x, points = np.ascontiguousarray(x, np.float64), np.arange(len(x), dtype=np.int32)[:, None]
     faces, edges = np.ascontiguousarray(faces, np.int32), np.ascontiguousarray(edges, np.int32)
     over, beside = near_boxes(x, points, faces, reach_m), near_boxes(x, edges, edges, reach_m)
@@ -43,11 +41,8 @@ def pairs_within(
 
 def near_boxes(x: np.ndarray, first: np.ndarray, second: np.ndarray, reach_m: float) -> np.ndarray:
     """Returns pairs (N, 2) int32 of rows of ``first`` and ``second`` whose axis-aligned boxes are at most ``reach_m``
-    apart along every axis.
-
-    A row holds the vertices, rows of ``x`` [m] (V, 3), of an element. Elements that share a vertex are no pair. If
-    ``first`` is ``second``, each pair comes once, the lower row first.
-    """
+    apart along every axis. A row holds the vertices, rows of ``x`` [m] (V, 3), of an element. Elements that share a
+    vertex are no pair. If ``first`` is ``second``, each pair comes once, the lower row first."""
     if not len(second):
         return np.zeros((0, 2), np.int32)
     elements, count = (first, *first.shape, second, *second.shape, first is second), 16 * len(first)
@@ -60,11 +55,8 @@ def near_boxes(x: np.ndarray, first: np.ndarray, second: np.ndarray, reach_m: fl
 
 def ways(x: np.ndarray, corner: np.ndarray, triangles: int) -> tuple[np.ndarray, np.ndarray]:
     """Returns weights (N, 4) of the corners of each pair, and the vectors [m] (N, 3) between its nearest points, which
-    are the sums of the corners by these weights.
-
-    ``corner`` (N, 4): rows of ``x`` [m] (V, 3). In the first ``triangles`` pairs they are a vertex and a triangle, in
-    the others two edges.
-    """
+    are the sums of the corners by these weights. ``corner`` (N, 4): rows of ``x`` [m] (V, 3). In the first
+    ``triangles`` pairs they are a vertex and a triangle, in the others two edges."""
     weights, found = np.empty((len(corner), 4)), np.empty((len(corner), 3))
     call("ways", np.float64, x, corner, len(corner), triangles, weights, found)
     return weights, found

@@ -14,8 +14,8 @@ from drape.contact.samples import sample_table
 from drape.errors import MeshError
 from drape.garment.avatars import standard_avatar
 from drape.garment.consensus import RIDGE, _weighted_fit
-from drape.garment.files.mesh import plain_mesh
-from drape.garment.mesh_checks import check_mesh
+from drape.garment.files.mesh import GarmentMesh, plain_mesh
+from drape.garment.mesh_checks import check_mesh, check_surface, place_on_avatar
 from drape.geometry import jets
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.fold_step import FoldEffort, Frame, fold
@@ -66,11 +66,16 @@ def test_folds_of_slivers():
 CLOTH = plain_mesh("shirt", *shirt(BODY, BODY.v_template))
 
 
+def checked(vertices: np.ndarray) -> GarmentMesh:
+    surface = check_surface(plain_mesh("shirt", vertices, CLOTH.faces))
+    return check_mesh(place_on_avatar(surface, standard_avatar(BODY), unit="m"), standard_avatar(BODY))
+
+
 @pytest.mark.parametrize("factor", [1e-3, 10.0, 1e-30, 1e30])
 def test_garments_of_a_millimetre_and_of_ten_metres_are_refused_with_a_cure(factor: float):
     """Guards against a wrong unit that is draped as it came."""
     with pytest.raises(MeshError) as refused:
-        check_mesh(plain_mesh("shirt", factor * CLOTH.vertices, CLOTH.faces), standard_avatar(BODY), unit="m")
+        checked(factor * CLOTH.vertices)
     assert refused.value.cure
 
 
@@ -80,9 +85,9 @@ def test_slivers_and_doubled_vertices_are_left_out_of_the_cloth():
     for moved, place in ((c, CLOTH.vertices[[a, b]].mean(axis=0)), (b, CLOTH.vertices[a])):
         vertices = CLOTH.vertices.copy()
         vertices[moved] = place
-        checked = check_mesh(plain_mesh("shirt", vertices, CLOTH.faces), standard_avatar(BODY), unit="m")
-        assert 0 < len(CLOTH.faces) - len(checked.faces) <= 2
-        assert any(note.startswith("dropped") for note in checked.notes)
+        cloth = checked(vertices)
+        assert 0 < len(CLOTH.faces) - len(cloth.faces) <= 2
+        assert any(note.startswith("dropped") for note in cloth.notes)
 
 
 @pytest.mark.parametrize("points", ["line", "point", "one", "two", "plane"])

@@ -17,7 +17,7 @@ from drape.garment.files.mesh import Beside, GarmentMesh, mesh_fault, read_paylo
 
 MOST_FILES = 1000
 MOST_BYTES = 384 * 2**20
-MOST_RATIO = 250  # of a file above RATIO_FROM
+MOST_RATIO = 250  # unpacked over packed bytes, of files above RATIO_FROM
 RATIO_FROM = 2**20
 ARCHIVES = (".zip", ".rar", ".7z", ".gz", ".tar")
 MESHES = (*(one.suffix for one in MESH_FORMATS if one.name != "zip"), ".vrm")
@@ -44,10 +44,7 @@ def read_zip(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
 
 def files_beside(files: Files, folder: PurePosixPath) -> Beside:
     """Returns a function that takes a file's name, as a mesh in ``folder`` gives it, and returns its bytes; None where
-    ``files`` lacks it.
-
-    The file is looked for at its path from ``folder``, and then by the last part of its name.
-    """
+    ``files`` lacks it. The file is looked for at its path from ``folder``, and then by the last part of its name."""
 
     def beside(wanted: str) -> bytes | None:
         plain = str(PurePosixPath(wanted.replace("\\", "/")))

@@ -18,11 +18,8 @@ def fbx_looks(
     materials: Sequence[dict[str, Any] | None], files: Sequence[tuple[list[str], bytes]], beside: Beside
 ) -> tuple[Looks, tuple[str, ...]]:
     """Returns the look of each of ``materials``, None for a None, and notes about pictures that are missing or left
-    out.
-
-    ``materials``: dictionaries as ``drape.files.fbx`` reads them. ``files``: for each picture its possible names and
-    its bytes, empty if it is not in the file; such pictures are read by ``beside``.
-    """
+    out. ``materials``: dictionaries as ``drape.files.fbx`` reads them. ``files``: for each picture its possible names
+    and its bytes, empty if it is not in the file; such pictures are read by ``beside``."""
     numbers: dict[Any, int] = {}
     held: list[bytes] = []
     notes: list[str] = []
@@ -60,7 +57,7 @@ def fbx_looks(
         shown = record["pictures"]
         metal, roughness, bumps = shown.get("metalness"), shown.get("roughness"), shown.get("normal_map")
         if bumps is None and "bump" in shown and re.search("nor|nrm", " ".join(files[shown["bump"]][0]).lower()):
-            bumps = shown["bump"]  # what is called a bump is a height or, as often, a normal: its name tells
+            bumps = shown["bump"]  # a bump is a height or, as often, a normal map: its name says which
         plain: dict[Slot, int | None] = {"base_colour": shown.get("base_color"), "normal": bumps}
         slots: dict[Slot, int | None] = {
             slot: numbers[number] if number in numbers else kept(number, content(number))

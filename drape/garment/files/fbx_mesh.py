@@ -56,7 +56,7 @@ def _parts(meshes: list[FbxMesh], name: str, vertex_limit: int) -> Iterator[_Par
         total += len(mesh.vertices)
         check_count(name, max(total, len(mesh.corners) // 8), vertex_limit)
         begin, sides = mesh.polygons.T
-        whole = np.flatnonzero(sides >= 3)  # what is less is a point or a line
+        whole = np.flatnonzero(sides >= 3)  # fewer corners make a point or a line
         if not len(whole):
             continue
         corner = np.repeat(begin[whole] - (np.cumsum(sides[whole]) - sides[whole]), sides[whole])

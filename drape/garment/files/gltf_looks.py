@@ -24,7 +24,7 @@ def gltf_looks(file: GltfFile, used: list[int | None]) -> tuple[Looks, tuple[str
             entry = file.item("textures", _object(texture).get("index"), "materials")
             others = _object(entry.get("extensions"))
             source = next((_object(e).get("source") for e in others.values() if "source" in _object(e)), None)
-            # The picture that every program reads, where there is one.
+            # The picture that every program reads comes before that of an extension.
             image = entry.get("source", source)
             if shown(image) not in pictures:
                 content = file.picture(image)

@@ -86,5 +86,5 @@ def _joined(file: GltfFile, parts: list[Part], name: str) -> GarmentMesh:
     if all(part[2] is None for part in parts):
         return mesh
     uv = np.concatenate([np.zeros((len(part[0]), 2)) if part[2] is None else part[2] for part in parts])
-    # glTF's origin is at the upper left.
+    # The origin of glTF's texture coordinates is at the upper left.
     return replace(mesh, uv=np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]), uv_faces=corner)

@@ -26,17 +26,15 @@ VERTEX_LIMIT = 400_000
 AVATAR_VERTEX_LIMIT = 400_000
 Beside = Callable[[str], bytes | None]
 """The bytes of a file that a mesh file names, None where it is not there."""
-MATERIAL_CHARACTERS = 200  # of a name that is kept
+MATERIAL_CHARACTERS = 200  # a longer name is cut
 
 
 @dataclass(frozen=True, eq=False)
 class GarmentMesh:
     """A triangle mesh: ``vertices`` (V, 3), ``faces`` (F, 3), ``uv`` (T, 2) and ``uv_faces`` (F, 3), both empty without
     texture coordinates. They are in the unit and the axes of the file until intake converts them to metres, y up.
-
     ``material_names``, and ``face_material`` (F,), the number of each face's material. ``notes`` say what was done to
-    the mesh on the way. Texture coordinates have their origin at the lower left. ``looks``: those of the materials.
-    """
+    the mesh on the way. Texture coordinates have their origin at the lower left. ``looks``: those of the materials."""
 
     name: str
     vertices: np.ndarray
@@ -96,10 +94,8 @@ def read_mesh(
     source: Path | bytes, *, name: str | None = None, kind: str | None = None, vertex_limit: int = VERTEX_LIMIT
 ) -> GarmentMesh:
     """Returns the mesh in a file or in its bytes, in the file's unit and axes. ``kind`` ("obj", ...) is by default that
-    of the suffix, or of the first bytes.
-
-    Raises ``MeshError``, or ``NotFound`` for an absent file, which say what was expected and what cures it.
-    """
+    of the suffix, or of the first bytes. Raises ``MeshError``, or ``NotFound`` for an absent file, which say what was
+    expected and what cures it."""
     folder = None
     if isinstance(source, (bytes, bytearray, memoryview)):
         payload, name = bytes(source), name or "garment"

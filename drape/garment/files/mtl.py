@@ -52,7 +52,7 @@ def mtl_looks(libraries: list[str], beside: Beside, names: tuple[str, ...]) -> t
     def material(said: dict[str, str]) -> Material:
         used: dict[Slot, int] = {}
         for keyword, slot in PICTURES.items():
-            # What is called a bump is a height or, as often, a normal: its name tells.
+            # A bump is a height or, as often, a normal map: its name says which.
             if keyword in said and (keyword in ("map_kd", "norm") or re.search("nor|nrm", said[keyword].lower())):
                 found = picture(said[keyword])
                 if found is not None:

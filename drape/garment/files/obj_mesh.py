@@ -14,7 +14,7 @@ from drape.errors import MeshError
 from drape.garment.files.mesh import Beside, GarmentMesh, check_count, mesh_fault
 from drape.garment.files.mtl import mtl_looks
 
-# Statements that say nothing of the surface, nor of what is left out.
+# Statements that say nothing about the surface, and are not noted as left out.
 _SILENT = frozenset("o g s".split())  # noqa: SIM905
 _KEYWORD_LIMIT = 100
 _INTEGER = re.compile(r"[+-]?\d{1,18}\Z")  # more digits are no index, and no int64
@@ -88,7 +88,7 @@ class _ObjReader:
         elif keyword == "mtllib":
             self.libraries.append(text[len("mtllib") :].strip())
         elif keyword not in _SILENT:
-            # A hostile file does not choose how many there are.
+            # A hostile file must not choose how many keywords are kept.
             self.skipped[keyword[:16] if len(self.skipped) < _KEYWORD_LIMIT else "others"] += 1
             self.first_skipped = self.first_skipped or number
 

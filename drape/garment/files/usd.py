@@ -20,7 +20,7 @@ from drape.garment.files.mesh import Beside, GarmentMesh, check_count, fans, mes
 from drape.garment.files.usd_looks import coordinates_of, usd_looks
 
 MOST_PRIMS = 100_000
-SHOWN = ("default", "render")  # purposes
+SHOWN = ("default", "render")  # the purposes of prims that are drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ def read_usd(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = l
             if stage is None:
                 raise mesh_fault(name, "a readable USD file", "a damaged one")
             return _joined(list(_parts(stage, name, vertex_limit)), stage, name, beside)
-        except tf.ErrorException as error:  # its text names files of this machine
+        except tf.ErrorException as error:  # its text would name files of this machine
             raise mesh_fault(name, "a readable USD file", "a damaged one") from error
 
 

@@ -15,8 +15,8 @@ from drape.files.pictures import Channel, metallic_roughness
 from drape.garment.files.mesh import Beside
 
 CHANNELS = {"r": 0, "g": 1, "b": 2, "a": 3}
-GLTF_CHANNELS = {"roughness": "g", "metallic": "b"}  # of a picture that glTF takes as it is
-USUAL = "st"  # the name of texture coordinates
+GLTF_CHANNELS = {"roughness": "g", "metallic": "b"}  # channels of a picture that glTF takes as it is
+USUAL = "st"  # the usual name of texture coordinates
 
 
 def coordinates_of(prims: Sequence[Any | None]) -> str:
@@ -160,7 +160,7 @@ def _scale(texture: Any) -> tuple[float, ...]:
 def _placed(texture: Any) -> tuple[Any | None, Any | None]:
     """The UsdTransform2d that ``texture`` is placed by and the UsdPrimvarReader_float2 before it."""
     transform, shader, name = None, texture, "st"
-    for _ in range(4):  # a chain of a stranger's file may be a ring
+    for _ in range(4):  # in a stranger's file the chain may be a ring
         if shader is None:
             break
         found = shader.GetInput(name)

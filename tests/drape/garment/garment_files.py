@@ -10,6 +10,11 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
+from drape.garment.avatars import Avatar
+from drape.garment.cloth_layer import join_sheets
+from drape.garment.files.mesh import GarmentMesh
+from drape.garment.mesh_checks import check_surface, place_on_avatar
+from drape.garment.rest_mesh import RestMesh, rest_mesh
 from drape.geometry import mesh_graphs, meshes
 from tests.drape.cloth.cloth_shapes import tube
 
@@ -19,6 +24,12 @@ SLEEVES = [JOINT_NAMES.index(name) for name in ("left_shoulder", "right_shoulder
 FACES = tube(10, 3)[1]
 VERTICES = tube(10, 3)[0].astype(np.float32).astype(np.float64)
 UV = np.random.default_rng(3).random((len(VERTICES), 2)).astype(np.float32)
+
+
+def at_rest(mesh: GarmentMesh, avatar: Avatar, body: BodyModel, *, carriers: tuple[str, ...] | None = None) -> RestMesh:
+    """The delivered ``mesh`` of a named ``avatar`` at rest on ``body``."""
+    sheets = place_on_avatar(check_surface(join_sheets(mesh)), avatar)
+    return rest_mesh(mesh, sheets, avatar, body, carriers=carriers)
 
 
 def shirt(body: BodyModel, skin: np.ndarray, *, ease_m: float = 0.02) -> tuple[np.ndarray, np.ndarray]:

@@ -16,13 +16,12 @@ from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake import intake_mesh
 from drape.garment.reading_hints import ReadingHints
 from drape.garment.registration import posed_by
-from drape.garment.rest_mesh import rest_mesh
 from drape.garment.seats import are_glasses
 from drape.garment.wearer_fields import known_parameters
 from drape.garment.wearer_reading import Reading, WearerCandidate
 from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import tube
-from tests.drape.garment.garment_files import shirt
+from tests.drape.garment.garment_files import at_rest, shirt
 
 BODY = load_body()
 BONE = BODY.weights.argmax(axis=1)
@@ -158,7 +157,7 @@ def test_shoes_are_put_round_the_feet_that_stand_elsewhere():
     """Those of a body that stands with its feet apart lay beside the feet."""
     pair = both_shoes(BODY.v_template)
     apart = replace(pair, vertices=pair.vertices + np.sign(pair.vertices[:, :1]) * np.array([0.03, 0.0, 0.0]))
-    rest = rest_mesh(apart, standard_avatar(BODY), BODY, carriers=("left_ankle", "right_ankle"))
+    rest = at_rest(apart, standard_avatar(BODY), BODY, carriers=("left_ankle", "right_ankle"))
     for side in (-1.0, 1.0):
         there, wanted = (one[side * one[:, 0] > 0.0, 0] for one in (rest.mesh.vertices, pair.vertices))
         assert abs(there.mean() - wanted.mean()) > 0.02

@@ -23,10 +23,10 @@ from drape.garment.files.mesh import plain_mesh
 from drape.garment.intake import IntakeOptions, garment_name, intake, main, read_fabric, with_rest_state
 from drape.garment.mesh_checks import UNITS_M
 from drape.garment.rest_detail import Rest, RestCloth, rest_of
-from drape.garment.rest_mesh import rest_mesh, with_unused, without_unused
+from drape.garment.rest_mesh import with_unused, without_unused
 from drape.geometry import meshes
 from drape.geometry.closest import signed_distance
-from tests.drape.garment.garment_files import obj_text, shirt
+from tests.drape.garment.garment_files import at_rest, obj_text, shirt
 from tests.fixtures.garments import reconstructed
 
 BODY = load_body()
@@ -137,7 +137,7 @@ def test_a_garment_carries_its_rest_state_and_fabric(garment):
 def test_rest_and_fabric_are_as_asked_for(garment):
     numbers = {"name": "mine", **{f"{way}_n_per_m": 500.0 for way in ("warp", "weft", "shear")}, "cross_n_per_m": 9.0}
     numbers |= {f"bending_{way}_j": 1e-5 for way in ("warp", "bias", "weft")} | {"density_kg_m2": 0.2}
-    rest = rest_mesh(plain_mesh("shirt", VERTICES, FACES), AVATAR, BODY)
+    rest = at_rest(plain_mesh("shirt", VERTICES, FACES), AVATAR, BODY)
     modelled = with_rest_state(garment, rest, IntakeOptions(rest="modelled", fabric=numbers))
     worn = dihedral_angles(modelled.vertices.astype(np.float64), modelled.fine_faces)
     assert_allclose(modelled.rest_state().hinge_angle, worn, rtol=0.0, atol=1e-6)
@@ -169,16 +169,16 @@ def test_fabrics_are_read_from_the_command_line():
 
 def test_unit_and_axis_do_not_matter():
     # Bits as from centimetres: rounding decides which vertices the clearance counts as short.
-    metres = rest_mesh(plain_mesh("shirt", VERTICES * 100.0 * UNITS_M["cm"], FACES), AVATAR, BODY)
+    metres = at_rest(plain_mesh("shirt", VERTICES * 100.0 * UNITS_M["cm"], FACES), AVATAR, BODY)
     turned = np.stack([VERTICES[:, 0], -VERTICES[:, 2], VERTICES[:, 1]], axis=1) * 100.0
-    centimetres = rest_mesh(plain_mesh("shirt", turned, FACES), AVATAR, BODY)
+    centimetres = at_rest(plain_mesh("shirt", turned, FACES), AVATAR, BODY)
     assert_array_equal(centimetres.vertices, metres.vertices)
     assert {"converted from cm to m", "turned from z up to y up"} <= set(centimetres.mesh.notes)
 
 
 def test_garment_on_the_standard_body_is_unchanged_but_for_clearance():
     vertices, faces = shirt(BODY, BODY.v_template)
-    rest = rest_mesh(plain_mesh("shirt", vertices, faces), intake_module.avatars.standard_avatar(BODY), BODY)
+    rest = at_rest(plain_mesh("shirt", vertices, faces), intake_module.avatars.standard_avatar(BODY), BODY)
     assert_allclose(rest.vertices[: len(vertices)], vertices, rtol=0, atol=1e-3)
     assert rest.figures["move_strain_mean_pct"] == 0.0
 
@@ -188,7 +188,7 @@ def test_dense_cloth_rests_as_thin_cloth_and_is_drawn_as_it_was():
     while len(vertices) <= VERTEX_LIMIT:
         vertices, faces, _ = meshes.subdivide(vertices, faces)
     mesh = plain_mesh("dense", vertices, faces)
-    rest = rest_mesh(mesh, intake_module.avatars.standard_avatar(BODY), BODY)
+    rest = at_rest(mesh, intake_module.avatars.standard_avatar(BODY), BODY)
     assert len(rest.mesh.vertices) <= VERTEX_LIMIT
     assert rest.drawn is not None
     assert_array_equal(rest.drawn.faces, faces)
@@ -308,7 +308,7 @@ def test_real_garment_comes_clear_with_little_strain(name: str, data: Path):
         pytest.skip(f"No garments/{name}.obj in DRAPE_DATA: docs/guide/data.md says where to get it.")
     mesh = intake_module.read_mesh(path)
     meaning = intake_module.avatars.parse_avatar(None, beside=path)
-    rest = rest_mesh(mesh, intake_module.avatars.read_avatar(meaning, BODY), BODY)
+    rest = at_rest(mesh, intake_module.avatars.read_avatar(meaning, BODY), BODY)
     signed = signed_distance(rest.vertices, BODY.v_template, BODY.faces)
     assert signed.min() >= CLEARANCE_M
     assert len(rest.vertices) >= 3000

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +12,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.body.assets import load_body
 from drape.errors import MeshError
 from drape.garment import mesh_checks
-from drape.garment.avatars import phenotype_avatar, standard_avatar
+from drape.garment.avatars import Avatar, phenotype_avatar, standard_avatar
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
-from drape.garment.mesh_checks import check_arrays, check_mesh, orient_outward
+from drape.garment.mesh_checks import check_arrays, check_mesh, check_surface, orient_outward, place_on_avatar
 from drape.geometry import meshes
 from tests.drape.garment.garment_files import shirt
 from tests.drape.geometry.geometry_shapes import box
@@ -23,12 +24,16 @@ AVATAR = phenotype_avatar({"gender": 0.2}, BODY)
 CLOTH = plain_mesh("shirt", *shirt(BODY, AVATAR.vertices))
 
 
+def on_avatar(mesh: GarmentMesh, avatar: Avatar = AVATAR, **asked: Any) -> GarmentMesh:
+    return check_mesh(place_on_avatar(check_surface(mesh), avatar, **asked), avatar)
+
+
 def with_faces(*extra: list[int]) -> GarmentMesh:
     return plain_mesh("shirt", CLOTH.vertices, np.concatenate([CLOTH.faces, np.array(extra)]))
 
 
 def test_sound_garment_passes_unchanged():  # cut from the skin, so its normals point away from it
-    checked = check_mesh(CLOTH, AVATAR)
+    checked = on_avatar(CLOTH)
     assert_array_equal(checked.vertices, CLOTH.vertices)
     assert_array_equal(checked.faces, CLOTH.faces)
     assert checked.notes == ("4 openings",)
@@ -53,7 +58,7 @@ def test_sound_garment_passes_unchanged():  # cut from the skin, so its normals 
 )
 def test_fault_is_refused_by_name(mesh: GarmentMesh, message: str):
     with pytest.raises(MeshError, match=message):
-        check_mesh(mesh, AVATAR)
+        on_avatar(mesh)
 
 
 def test_vertex_limit_is_held():
@@ -65,11 +70,11 @@ def test_vertex_limit_is_held():
 
 
 def test_bad_faces_are_dropped_with_a_note():
-    checked = check_mesh(with_faces(CLOTH.faces[10], [3, 3, 5]), AVATAR)
+    checked = on_avatar(with_faces(CLOTH.faces[10], [3, 3, 5]))
     assert_array_equal(checked.faces, CLOTH.faces)
     assert "dropped 1 degenerate and 1 duplicated faces" in checked.notes
     with pytest.raises(MeshError, match="faces with an area"):
-        check_mesh(plain_mesh("a", CLOTH.vertices, [[0, 0, 1]]), AVATAR)
+        on_avatar(plain_mesh("a", CLOTH.vertices, [[0, 0, 1]]))
 
 
 @pytest.mark.parametrize("unit", ["cm", "dm", "mm", "inch"])
@@ -80,23 +85,23 @@ def test_unit_axis_and_floor_are_recognised(unit: str, up: str, floor: bool):
     if up == "z":
         given = np.stack([given[:, 0], -given[:, 2], given[:, 1]], axis=1)
     mesh = replace(CLOTH, vertices=given / mesh_checks.UNITS_M[unit])
-    checked = check_mesh(mesh, AVATAR)
+    checked = on_avatar(mesh)
     assert_allclose(checked.vertices, CLOTH.vertices, rtol=0, atol=1e-9)
     assert f"converted from {unit} to m" in checked.notes
-    assert_allclose(check_mesh(mesh, AVATAR, unit=unit, up=up).vertices, checked.vertices, rtol=0, atol=0)  # type: ignore[arg-type]
+    assert_allclose(on_avatar(mesh, unit=unit, up=up).vertices, checked.vertices, rtol=0, atol=0)
 
 
 @pytest.mark.parametrize(("option", "value"), [("unit", "yard"), ("up", "x")])
 def test_unknown_option_is_refused(option: str, value: str):
     with pytest.raises(MeshError, match=option):
-        check_mesh(CLOTH, AVATAR, **{option: value})  # type: ignore[arg-type]
+        on_avatar(CLOTH, **{option: value})
 
 
 def test_garment_elsewhere_is_refused():
     with pytest.raises(MeshError, match="a garment on its avatar"):
-        check_mesh(replace(CLOTH, vertices=CLOTH.vertices + np.array([3.0, 0.0, 0.0])), AVATAR)
+        on_avatar(replace(CLOTH, vertices=CLOTH.vertices + np.array([3.0, 0.0, 0.0])))
     with pytest.raises(MeshError, match="a garment on the standard body"):
-        check_mesh(CLOTH, standard_avatar(BODY), named=False)
+        on_avatar(CLOTH, standard_avatar(BODY), named=False)
 
 
 def test_points_below_the_skin_fit_worse_than_as_far_outside():
@@ -114,7 +119,7 @@ def test_points_below_the_skin_fit_worse_than_as_far_outside():
 def test_equal_units_are_refused(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(mesh_checks.UNITS_M, "hand", 0.01005)
     with pytest.raises(MeshError, match=r"cm or hand|hand or cm"):
-        check_mesh(replace(CLOTH, vertices=CLOTH.vertices * 100.0), AVATAR)
+        on_avatar(replace(CLOTH, vertices=CLOTH.vertices * 100.0))
 
 
 def test_a_handkerchief_is_refused():
@@ -122,7 +127,7 @@ def test_a_handkerchief_is_refused():
     used, inverse = np.unique(few, return_inverse=True)
     mesh = plain_mesh("a", CLOTH.vertices[used], inverse)
     with pytest.raises(MeshError, match="garment"):
-        check_mesh(mesh, AVATAR, unit="m", up="y")
+        on_avatar(mesh, unit="m", up="y")
 
 
 def test_winding_becomes_consistent_and_outward(rng: np.random.Generator):
@@ -136,7 +141,7 @@ def test_winding_becomes_consistent_and_outward(rng: np.random.Generator):
     )
     inward = replace(straight, faces=CLOTH.faces[:, ::-1], uv_faces=uv_faces[:, ::-1])
     for mesh in (mixed, inward):
-        checked = check_mesh(mesh, AVATAR)
+        checked = on_avatar(mesh)
         assert_array_equal(checked.faces, CLOTH.faces)
         assert_array_equal(checked.uv_faces, uv_faces)
         assert any("normals point outward" in note for note in checked.notes)
@@ -165,7 +170,7 @@ def test_pieces_closed_pieces_and_unused_vertices_are_noted():
     mesh = plain_mesh(
         "a", np.concatenate([CLOTH.vertices, cube, [[0.0, 9.0, 0.0]]]), np.concatenate([CLOTH.faces, solid + count])
     )
-    checked = check_mesh(mesh, AVATAR)
+    checked = on_avatar(mesh)
     text = " | ".join(checked.notes)
     assert f"2 pieces with {count}, 8 vertices" in text
     assert "1 closed piece" in text
