@@ -31,10 +31,10 @@ NUMBER_LIMIT = 1e6  # beyond it SMPL parameters are a mistake, and squares overf
 
 @dataclass(frozen=True, eq=False)
 class Avatar:
-    """A body in the pose that a garment was modelled on, with the topology of the standard body: vertex i is its vertex
-    i. ``vertices`` [m] (V, 3), y up, facing +z; ``faces`` (F, 3). ``residual_mm``: the mean distance between the avatar
-    as it was given and this body, 0 where the vertices are its own. ``source``: where it came from, in words.
-    ``moved``: False if the vertices are those of the standard body in T-pose."""
+    """A body in the pose that a garment was modelled on, with the topology of the standard body: vertex i of both is
+    the same place on the body. ``vertices`` [m] (V, 3), y up, facing +z; ``faces`` (F, 3). ``residual_mm``: the mean
+    distance between the avatar as it was given and this body, 0 where the vertices are its own. ``source``: where it
+    came from, in words. ``moved``: False if the vertices are those of the standard body in T-pose."""
 
     vertices: np.ndarray
     faces: np.ndarray

@@ -24,6 +24,7 @@ from drape.garment.mesh_checks import without_flat_faces
 from drape.garment.rest_detail import cloth_of, rest_of
 from drape.garment.sheets import (
     agreeing,
+    border_share,
     cut_branches,
     pieces_of,
     samples_to,
@@ -148,10 +149,11 @@ def bearing_pieces(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, n
     bears = np.zeros(len(area), dtype=bool)
     bears[0] = True
     for number in np.flatnonzero(~small)[1:]:
-        _, distance, border = samples_to(points, faces[piece == number], faces[bears[piece]])
-        sewn = any(_trims(points, faces[piece == number], faces[piece == other]) for other in range(number)
-                   if bears[other] and area[number] < TRIM_SHARE * area[other])  # fmt: skip
-        belt = area[number] < BELT_SHARE * area[0] and _is_low_ring(points[faces[piece == number]])
+        own, larger = faces[piece == number], [k for k in range(number) if area[number] < TRIM_SHARE * area[k]]
+        _, distance, border = samples_to(points, own, faces[bears[piece]])
+        on_larger = (border_share(points, own, faces[piece == k], SEWN_M, rims=False) for k in larger if bears[k])
+        sewn = any(share > SEWN_SHARE for share in on_larger)
+        belt = area[number] < BELT_SHARE * area[0] and _is_low_ring(points[own])
         on = (distance < BELT_M) & (~border | (distance < NEAR_M)) if belt else (distance < ON_M) & ~border
         bears[number] = on.mean() < ON_SHARE and not sewn
     for number in np.flatnonzero(small & (area > 0.1 * SMALL_M2)):
@@ -164,16 +166,6 @@ def _is_low_ring(corners: np.ndarray) -> bool:
     """Whether a piece with ``corners`` [m] (F, 3, 3) is low and as wide as what goes round a waist."""
     wide, high, deep = np.ptp(corners, axis=(0, 1))
     return bool(high < BELT_HIGH_M < min(wide, deep))
-
-
-def _trims(points: np.ndarray, faces: np.ndarray, others: np.ndarray) -> bool:
-    """Whether a piece of ``faces`` is sewn onto that of ``others`` by its border, as a collar or a lapel."""
-    border = meshes.boundary_edges(faces)
-    if not len(border):
-        return False
-    length = meshes.edge_lengths(points, border)
-    near = closest_point(points[border].mean(axis=1), points, others).distance < SEWN_M
-    return float(length[near].sum()) > SEWN_SHARE * float(length.sum())
 
 
 def _thinned(mesh: GarmentMesh, notes: list[str]) -> GarmentMesh:

@@ -39,8 +39,8 @@ def rims_cross(uv: np.ndarray, triangles: np.ndarray) -> bool:
 
 
 def edges_cross(uv: np.ndarray, rim: np.ndarray) -> bool:
-    """Returns whether two of the edges ``rim`` (E, 2) without a common end cross in the plane, where their vertices are
-    at ``uv`` (n, 2)."""
+    """Returns whether two of the edges ``rim`` (E, 2) cross in the plane, where their vertices are at ``uv`` (n, 2).
+    Edges that share a vertex do not cross."""
     start, along = uv[rim[:, 0]], uv[rim[:, 1]] - uv[rim[:, 0]]
 
     def side(points: np.ndarray) -> np.ndarray:

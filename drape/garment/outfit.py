@@ -16,7 +16,7 @@ from drape.body.model import BodyModel
 from drape.garment.accessories import accessory_of
 from drape.garment.cloth_layer import bearing_pieces
 from drape.garment.files.mesh import GarmentMesh
-from drape.garment.sheets import with_used_vertices
+from drape.garment.sheets import border_share, with_used_vertices
 from drape.geometry import meshes
 from drape.geometry.closest import closest_point, on_border
 
@@ -98,17 +98,9 @@ def part_names(mesh: GarmentMesh, parts: Sequence[GarmentMesh]) -> list[str]:
 
 def _one_garment(points: np.ndarray, first: np.ndarray, second: np.ndarray) -> bool:
     """Whether two pieces are sewn to each other, or are a pair."""
-    return _sewn(points, first, second) or _sewn(points, second, first) or _paired(points[first], points[second])
-
-
-def _sewn(points: np.ndarray, faces: np.ndarray, others: np.ndarray) -> bool:
-    border = meshes.boundary_edges(faces)
-    if not len(border):
-        return False
-    found = closest_point(points[border].mean(axis=1), points, others)
-    length = meshes.edge_lengths(points, border)
-    at = (found.distance < SEWN_M) & on_border(found, others)
-    return float(length[at].sum()) > SEWN_SHARE * float(length.sum())
+    pairs = (first, second), (second, first)
+    sewn = any(border_share(points, own, other, SEWN_M, rims=True) > SEWN_SHARE for own, other in pairs)
+    return sewn or _paired(points[first], points[second])
 
 
 def _paired(first: np.ndarray, second: np.ndarray) -> bool:

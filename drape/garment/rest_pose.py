@@ -50,7 +50,7 @@ DENSE = 0.6  # cloth with edges below this share of the usual ones may have fewe
 class MovedGarment:
     """A garment's ``vertices`` [m] (V, 3) on the standard body in T-pose, and ``loose`` (V,) in [0, 1], how much each
     hangs as a skirt does. Only of a mantle: ``arm`` (V,), the shares of the arms in [0, 1]; ``lay`` [m] (V, 3), the
-    mantle on the standard body in its wearer's pose; ``shapes`` [m] (K, V, 3), it over arms along
+    mantle on the standard body in its wearer's pose; ``shapes`` [m] (K, V, 3), the mantle over arms along each of
     ``mantle_shapes.DIRECTIONS``."""
 
     vertices: np.ndarray
@@ -253,10 +253,10 @@ def subdivide_smooth(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarra
 def refine(
     vertices: np.ndarray, faces: np.ndarray, *, at_least: int, at_most: int, edge_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns vertices [m] (N, 3), faces (G, 3) and for each vertex a delivered one (N,) from which it descends, after
-    rounds of ``subdivide_smooth``. It goes on until the mean edge is at most ``edge_m`` and there are ``at_least``
-    vertices, but not past ``at_most``. Half of ``at_least`` suffice where the mean edge is at most ``DENSE`` times
-    ``edge_m``."""
+    """Returns vertices [m] (N, 3), faces (G, 3) and for each vertex the row (N,) of a delivered vertex from which it
+    descends, after rounds of ``subdivide_smooth``. It goes on until the mean edge is at most ``edge_m`` and there are
+    ``at_least`` vertices, but not past ``at_most``. Half of ``at_least`` suffice where the mean edge is at most
+    ``DENSE`` times ``edge_m``."""
     origin = np.arange(len(vertices))
     while True:
         edges = meshes.unique_edges(faces)

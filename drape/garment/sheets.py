@@ -257,6 +257,19 @@ def with_used_vertices(mesh: GarmentMesh) -> GarmentMesh:
     return replace(mesh, vertices=mesh.vertices[used], faces=faces)
 
 
+def border_share(points: np.ndarray, own: np.ndarray, others: np.ndarray, within_m: float, *, rims: bool) -> float:
+    """Returns the share in [0, 1] of the length of the border of the faces ``own`` that lies within ``within_m`` of the
+    faces ``others``; with ``rims`` its nearest point must be on their border. It is 0 without a border. ``points`` [m]
+    (N, 3): the vertices of both."""
+    border = meshes.boundary_edges(own)
+    if not len(border):
+        return 0.0
+    near = closest.closest_point(points[border].mean(axis=1), points, others)
+    there, length = near.distance < within_m, meshes.edge_lengths(points, border)
+    there = there & closest.on_border(near, others) if rims else there
+    return float(length[there].sum()) / float(length.sum())
+
+
 def samples_to(points: np.ndarray, own: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns S random places (S, 3) on the faces ``own``, drawn by area; their distances (S,) to the faces ``others``;
     and bool (S,), True where the nearest point of these is on their border, so that the place lies beyond it. All are

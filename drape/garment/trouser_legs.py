@@ -46,7 +46,7 @@ def above_shoes(
 def apart(moved: np.ndarray, standing: np.ndarray, body: BodyModel, wearer: BodyModel) -> np.ndarray:
     """Returns ``moved`` [m] (N, 3), a garment's vertices on ``wearer``, with the cloth of each leg kept on its own side
     of the plane between the legs. Only cloth that is on that side at ``standing`` [m] (N, 3) on ``body`` is kept there:
-    as far from the plane as it was, but no farther than ``APART_M``."""
+    as far from the plane as at ``standing``, or ``APART_M`` from it if that is less."""
     nearest, kept = nearest_vertices(standing, body.v_template)[1], moved.copy()
     hips = [bones[0] for bones in LEGS.values()]
     here, there = (one.joints_template[hips, 0].mean() for one in (body, wearer))

@@ -79,9 +79,9 @@ def farther(middles: np.ndarray, other: np.ndarray, skin: KDTree) -> np.ndarray:
 
 
 def smoothed_sides(faces: np.ndarray, normals: np.ndarray, other: np.ndarray, side: np.ndarray) -> np.ndarray:
-    """Returns phi (F,) for the ``faces`` (F, 3) of one piece: positive on the outer side of a wall, negative on the
-    inner one. It smooths ``side`` (F,), what ``farther`` returns, along the faces. ``normals`` (F, 3); ``other`` (F,):
-    the face opposite to each within the piece, or -1."""
+    """Returns phi (F,), without unit, for the ``faces`` (F, 3) of one piece: positive on the outer side of a wall,
+    negative on the inner one. It smooths ``side`` (F,), what ``farther`` returns, along the faces. ``normals`` (F, 3);
+    ``other`` (F,): the face opposite to each within the piece, or -1."""
     count, pairs = len(faces), meshes.edge_pairs(faces)
     weight = np.maximum(meshes.edge_cosines(pairs, normals), LEAST_COSINE) ** 2
     edges = mesh_graphs.edge_matrix(np.stack([pairs[1] // 3, pairs[2] // 3], axis=1), weight, count)

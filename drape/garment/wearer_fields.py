@@ -183,8 +183,8 @@ def bones_of(posed: np.ndarray, skin: np.ndarray) -> Bones:
 
 
 def enclosed(points: np.ndarray, bones: Bones) -> tuple[np.ndarray, np.ndarray]:
-    """Returns for each of ``points`` [m] (N, 3) on cloth the share (N,) in [0, 1] of the directions around its bone in
-    which there is cloth, and the row (N,) in ``bones`` of the point nearest to it."""
+    """Returns for each of ``points`` [m] (N, 3) on cloth two arrays (N,): the share in [0, 1] of the directions around
+    its bone in which there is cloth, and the row in ``bones`` of the point on a bone that is nearest to it."""
     frames = bones.frames.astype(np.float32)
     local = (
         points.astype(np.float32) @ frames.transpose(0, 2, 1)

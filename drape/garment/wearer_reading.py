@@ -35,7 +35,7 @@ class Reading:
 
     @cached_property
     def turn(self) -> np.ndarray:
-        """Returns the rotation (3, 3) from the file's axes to y up, facing +z."""
+        """Returns the rotation R (3, 3) from the file's axes to y up, facing +z: x = R x_file."""
         up, front = _axis(self.up), _axis(self.front)
         return np.stack([np.cross(up, front), up, front])
 

@@ -25,7 +25,8 @@ STEPS, DEEP_STEPS, RELAXATION = 5, 2, 1.5
 
 
 class Wrapping:
-    """Wraps the delivered mesh of ``garment`` around its subdivided one, so that it lies outside of it everywhere."""
+    """Wraps the delivered mesh of ``garment`` around its subdivided one: moves its vertices out until hardly any of the
+    fine cloth lies outside of it."""
 
     def __init__(self, garment: Garment) -> None:
         placing = corner_weights(garment)

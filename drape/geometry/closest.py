@@ -45,7 +45,7 @@ class SearchedMesh:
         self._tree.init(self.vertices, self.faces)
 
     def closest(self, points: np.ndarray) -> ClosestPoints:
-        """Returns the point of the mesh nearest to each of ``points`` [m] (N, 3)."""
+        """Returns the point of the mesh nearest to each of ``points`` [m] (N, 3), with its distance and its face."""
         points = np.ascontiguousarray(points, dtype=np.float64)
         if len(points) == 0:
             return ClosestPoints(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)))
@@ -55,8 +55,8 @@ class SearchedMesh:
 
 
 def closest_point(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> ClosestPoints:
-    """Returns the point of the mesh nearest to each of ``points`` [m] (N, 3). Raises ``MeshError`` for arrays that are
-    no points or no finite mesh with faces."""
+    """Returns the point of the mesh nearest to each of ``points`` [m] (N, 3), with its distance and its face. Raises
+    ``MeshError`` for arrays that are no points or no finite mesh with faces."""
     points, vertices, faces = _checked(points, vertices, faces)
     return SearchedMesh(vertices, faces).closest(points)
 

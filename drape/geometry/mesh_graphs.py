@@ -23,7 +23,7 @@ def joined_parts(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def adjacency(faces: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
-    """Returns the sparse symmetric matrix (V, V) with 1 at the two vertices of every edge."""
+    """Returns the sparse symmetric matrix (V, V) with 1 for every two vertices that an edge joins."""
     edges = meshes.unique_edges(faces)
     return edge_matrix(edges, np.ones(len(edges)), vertex_count)
 

@@ -3,27 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from drape.files.fbx import FbxMesh, read_scene
 from drape.garment.files.fbx_looks import fbx_looks
-from drape.garment.files.mesh import Beside, GarmentMesh, check_count, fans, mesh_fault, plain_mesh
+from drape.garment.files.mesh import Beside, GarmentMesh, MeshPart, check_count, fans, join_parts, mesh_fault
 
-UNTOLD = -1  # the number of no material
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """World ``points`` (V, 3), triangles ``faces`` (F, 3), texture coordinates of their corners (3 F, 2) or None, and
-    the number of the material (F,) of each."""
-
-    points: np.ndarray
-    faces: np.ndarray
-    uv: np.ndarray | None
-    material: np.ndarray
-    polygons: int
+NO_MATERIAL = -1  # the number of a face without a material
 
 
 def read_fbx(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = lambda wanted: None) -> GarmentMesh:
@@ -31,26 +19,17 @@ def read_fbx(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = l
     from the file or by ``beside``. Raises ``MeshError``."""
     scene = read_scene(payload, lambda expected, got, cure: mesh_fault(name, expected, got, cure))
     parts = list(_parts(scene.meshes, name, vertex_limit))
-    if not parts:
-        raise mesh_fault(name, "a mesh that is drawn", "none", "Export the garment's surface.")
-    starts = np.cumsum([0] + [len(part.points) for part in parts])
-    faces = np.concatenate([part.faces + start for part, start in zip(parts, starts[:-1], strict=True)])
-    used, material = np.unique(np.concatenate([part.material for part in parts]), return_inverse=True)
-    told = [None if number == UNTOLD else scene.materials[number] for number in used]
-    looks, notes = fbx_looks(told, scene.pictures, beside)
-    names = tuple("default" if one is None else one["name"] for one in told)
-    mesh = plain_mesh(name, np.concatenate([part.points for part in parts]), faces)
+    mesh = join_parts(name, [part for part, _ in parts])
+    used, material = np.unique(np.concatenate([numbers for _, numbers in parts]), return_inverse=True)
+    records = [None if number == NO_MATERIAL else scene.materials[number] for number in used]
+    looks, notes = fbx_looks(records, scene.pictures, beside)
+    names = tuple("default" if record is None else record["name"] for record in records)
     mesh = replace(mesh, material_names=names, face_material=material.reshape(-1), looks=looks)
-    if polygons := sum(part.polygons for part in parts):
-        mesh = mesh.noted(f"{polygons} polygons triangulated")
-    mesh = mesh.noted(f"the file states its unit: {scene.unit_m:g} m", *notes)
-    if all(part.uv is None for part in parts):
-        return mesh
-    uv = np.concatenate([np.zeros((3 * len(part.faces), 2)) if part.uv is None else part.uv for part in parts])
-    return replace(mesh, uv=uv, uv_faces=np.arange(len(uv)).reshape(-1, 3))
+    return mesh.noted(f"the file states its unit: {scene.unit_m:g} m", *notes)
 
 
-def _parts(meshes: list[FbxMesh], name: str, vertex_limit: int) -> Iterator[_Part]:
+def _parts(meshes: list[FbxMesh], name: str, vertex_limit: int) -> Iterator[tuple[MeshPart, np.ndarray]]:
+    """Each of ``meshes`` with corners, and the number (F,) of the material of each of its triangles."""
     total = 0
     for mesh in meshes:
         total += len(mesh.vertices)
@@ -70,12 +49,12 @@ def _parts(meshes: list[FbxMesh], name: str, vertex_limit: int) -> Iterator[_Par
         uv = None if mesh.uv is None or not np.isfinite(mesh.uv).all() else mesh.uv[corner][fan.reshape(-1)]
         material = np.repeat(_materials(mesh)[whole], sides[whole] - 2)
         points = mesh.vertices @ mesh.placed[:, :3].T + mesh.placed[:, 3]
-        yield _Part(points, corners[fan], uv, material, int((sides > 3).sum()))
+        yield MeshPart(points, corners[fan], uv, int((sides > 3).sum())), material
 
 
 def _materials(mesh: FbxMesh) -> np.ndarray:
     """The number of the material of each polygon of ``mesh``."""
     count = len(mesh.polygons)
     row = mesh.face_material if len(mesh.face_material) == count else np.zeros(count, dtype=np.int64)
-    known = np.array([*mesh.materials, UNTOLD])
+    known = np.array([*mesh.materials, NO_MATERIAL])
     return known[np.where((row >= 0) & (row < len(mesh.materials)), row, -1)]

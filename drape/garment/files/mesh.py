@@ -7,7 +7,7 @@ gigabyte. PLY and ASCII STL go through trimesh, after their declared counts were
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
@@ -68,6 +68,33 @@ def plain_mesh(name: str, vertices: np.ndarray, faces: np.ndarray | list[list[in
         material_names=("default",),
         face_material=np.zeros(len(faces), dtype=np.int64),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class MeshPart:
+    """One of the meshes of a scene, in world axes: ``points`` (V, 3), triangles ``faces`` (F, 3), texture coordinates
+    ``uv`` (3 F, 2) of their corners or None, and the number of ``polygons`` that were cut into triangles."""
+
+    points: np.ndarray
+    faces: np.ndarray
+    uv: np.ndarray | None
+    polygons: int
+
+
+def join_parts(name: str, parts: Sequence[MeshPart]) -> GarmentMesh:
+    """Returns the mesh of ``parts``, one after the other, in their axes and with one material. Corners of parts without
+    texture coordinates have (0, 0), if others have some. Raises ``MeshError`` where there are no parts."""
+    if not parts:
+        raise mesh_fault(name, "a mesh that is drawn", "none", "Export the garment's surface.")
+    starts = np.cumsum([0] + [len(part.points) for part in parts])
+    faces = np.concatenate([part.faces + start for part, start in zip(parts, starts[:-1], strict=True)])
+    mesh = plain_mesh(name, np.concatenate([part.points for part in parts]), faces)
+    if polygons := sum(part.polygons for part in parts):
+        mesh = mesh.noted(f"{polygons} polygons triangulated")
+    if all(part.uv is None for part in parts):
+        return mesh
+    uv = np.concatenate([np.zeros((3 * len(part.faces), 2)) if part.uv is None else part.uv for part in parts])
+    return replace(mesh, uv=uv, uv_faces=np.arange(len(uv)).reshape(-1, 3))
 
 
 def fans(sides: np.ndarray) -> np.ndarray:

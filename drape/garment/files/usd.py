@@ -8,32 +8,28 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from drape.garment.files.archive import files_beside, zip_members
-from drape.garment.files.mesh import Beside, GarmentMesh, check_count, fans, mesh_fault, plain_mesh
+from drape.garment.files.mesh import Beside, GarmentMesh, MeshPart, check_count, fans, join_parts, mesh_fault
 from drape.garment.files.usd_looks import coordinates_of, usd_looks
 
 MOST_PRIMS = 100_000
 SHOWN = ("default", "render")  # the purposes of prims that are drawn
 
 
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """World ``points`` (V, 3), triangles ``faces`` (F, 3), texture coordinates of their corners (3 F, 2) or None;
-    bound ``materials``, None for the usual one, and which of them each triangle has (F,)."""
+class _Part(NamedTuple):
+    """A ``mesh``, the ``materials`` that are bound to it, None for the usual one, and which of them each triangle has
+    (F,)."""
 
-    points: np.ndarray
-    faces: np.ndarray
-    uv: np.ndarray | None
+    mesh: MeshPart
     materials: tuple[Any, ...]
     face_material: np.ndarray
-    polygons: int
 
 
 def read_usd(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = lambda wanted: None) -> GarmentMesh:
@@ -95,7 +91,8 @@ def _parts(stage: Any, name: str, vertex_limit: int) -> Iterator[_Part]:
         uv = _uv(geometry.PrimvarsAPI(prim), time, corners, len(points), fan, coordinates_of(materials))
         placed_points = points @ matrix[:3, :3] + matrix[3, :3]
         face_material = np.repeat(polygon_material, sides - 2)
-        yield _Part(placed_points, corners[fan], uv, materials, face_material, int((sides > 3).sum()))
+        part = MeshPart(placed_points, corners[fan], uv, int((sides > 3).sum()))
+        yield _Part(part, materials, face_material)
 
 
 def _numbers(value: Any, dtype: type = np.float64) -> np.ndarray:
@@ -137,30 +134,19 @@ def _uv(
 
 def _joined(parts: list[_Part], stage: Any, name: str, beside: Beside) -> GarmentMesh:
     """The mesh of all ``parts`` of ``stage``, y up, with the looks of their materials."""
-    if not parts:
-        raise mesh_fault(name, "a mesh that is drawn", "none", "Export the garment's surface.")
-    geometry = import_module("pxr.UsdGeom")
+    mesh, geometry = join_parts(name, [part.mesh for part in parts]), import_module("pxr.UsdGeom")
     stated_m = geometry.GetStageMetersPerUnit(stage) if geometry.StageHasAuthoredMetersPerUnit(stage) else 1.0
     upright = geometry.GetStageUpAxis(stage) == geometry.Tokens.y
-    starts = np.cumsum([0] + [len(part.points) for part in parts])
-    points = stated_m * np.concatenate([part.points for part in parts])
+    points = stated_m * mesh.vertices
     if not upright:
         points = np.stack([points[:, 0], points[:, 2], -points[:, 1]], axis=1)
-    faces = np.concatenate([part.faces + start for part, start in zip(parts, starts[:-1], strict=True)])
     materials = list(dict.fromkeys(one for part in parts for one in part.materials))
     names = tuple("default" if one is None else one.GetName() for one in materials)
     rows = [np.array([materials.index(one) for one in part.materials]) for part in parts]
     material = np.concatenate([row[part.face_material] for row, part in zip(rows, parts, strict=True)])
     looks, notes = usd_looks(materials, beside)
-    mesh = plain_mesh(name, points, faces)
-    mesh = replace(mesh, material_names=names, face_material=material.astype(np.int64), looks=looks).noted(*notes)
-    if polygons := sum(part.polygons for part in parts):
-        mesh = mesh.noted(f"{polygons} polygons triangulated")
+    mesh = replace(mesh, vertices=points, material_names=names, face_material=material.astype(np.int64), looks=looks)
+    mesh = mesh.noted(*notes)
     if stated_m != 1.0:
         mesh = mesh.noted(f"the file states its unit: {stated_m:g} m")
-    if not upright:
-        mesh = mesh.noted("turned from z up to y up")
-    if all(part.uv is None for part in parts):
-        return mesh
-    uv = np.concatenate([np.zeros((3 * len(part.faces), 2)) if part.uv is None else part.uv for part in parts])
-    return replace(mesh, uv=uv, uv_faces=np.arange(len(uv)).reshape(-1, 3))
+    return mesh if upright else mesh.noted("turned from z up to y up")
