@@ -31,8 +31,12 @@ Vector = Sequence[Array] | Array
 
 
 class Hinge(NamedTuple):
-    """``cosine`` and ``sine`` (..., H) of the dihedral angle; ``edge``, ``arms`` (a, b) and ``normals`` (n1, n2), each
-    (3, ..., H); ``length`` of the edge and ``squares`` of the normals (..., H)."""
+    """The geometry of H hinges: two triangles at their common edge, in the unit of the corners [m].
+
+    ``cosine`` and ``sine`` (..., H) are of the dihedral angle. ``edge``, the two ``arms`` (a, b) and the two
+    ``normals`` (n1, n2), which are not of unit length, are vectors (3, ..., H) as in the equations above. ``length``
+    (..., H) is that of the edge, ``squares`` are n1 . n1 and n2 . n2, each (..., H).
+    """
 
     cosine: Array
     sine: Array
@@ -44,7 +48,9 @@ class Hinge(NamedTuple):
 
 
 def hinge(corners: Corners, collapsed: float = COLLAPSED) -> Hinge:
-    """The hinges at ``corners``; ``collapsed`` is added where a collapsed triangle would divide by zero."""
+    """Returns the geometry of the hinges at ``corners``, four arrays (3, ..., H) [m]: the ends of the edge, then the
+    third corners. ``collapsed`` is added to squares of lengths and of areas, so that a collapsed triangle does not
+    divide by zero."""
     xp = namespace(corners[0])
     e, a, b = (xp.unstack(corners[k] - corners[0], axis=0) for k in (1, 2, 3))
     n1, n2 = _cross(e, a), _cross(b, e)
@@ -55,26 +61,32 @@ def hinge(corners: Corners, collapsed: float = COLLAPSED) -> Hinge:
 
 
 def one_minus_cosine(hinges: Hinge, cosine: Array, sine: Array) -> Array:
-    """1 - cos(theta - theta0) (..., H), from cosine and sine of theta0."""
+    """Returns 1 - cos(theta - theta0) (..., H) of ``hinges``, from ``cosine`` and ``sine`` (H,) of the rest angle
+    theta0."""
     return 1.0 - (hinges.cosine * cosine + hinges.sine * sine)
 
 
 def bending_energy(corners: Corners, stiffness_j: Array, rest_rad: Array) -> Array:
-    """Energy [J] (H,) of every hinge of ``stiffness_j`` k w (H,) with the angle ``rest_rad`` (H,) at rest."""
+    """Returns the bending energy [J] (..., H) of the hinges at ``corners``, four arrays (3, ..., H) [m].
+
+    ``stiffness_j`` [J] (H,) is k w of the equation above, ``rest_rad`` [rad] (H,) the angle at rest.
+    """
     xp = namespace(rest_rad)
     return stiffness_j * one_minus_cosine(hinge(corners), xp.cos(rest_rad), xp.sin(rest_rad))
 
 
 def bending_gradient(corners: Corners, stiffness_j: Array, rest_rad: Array) -> Array:
-    """Derivative [N] (4, 3, H) of the energy by the corners: minus the force."""
+    """Returns the gradient [N] (4, 3, H) of ``bending_energy`` by the four ``corners``, minus the force on each."""
     found = hinge(corners)
     return stiffness_j * _turn(found, rest_rad)[1] * angle_gradient(found)
 
 
 def bending_hessian(corners: Corners, stiffness_j: Array, rest_rad: Array, *, definite: bool) -> Array:
-    """Second derivative [N/m] (12, 12, H) of the energy.
+    """Returns the Hessian [N/m] (12, 12, H) of ``bending_energy`` by the coordinates of the four corners, corner by
+    corner.
 
-    ``definite`` takes every hinge as stiff as an unbent one, and leaves out the curvature of the angle.
+    ``definite``: returns a positive semidefinite one, which takes every hinge as stiff as an unbent one and leaves out
+    the curvature of the angle.
     """
     xp = namespace(stiffness_j)
     edge = hinge(corners)
@@ -86,14 +98,16 @@ def bending_hessian(corners: Corners, stiffness_j: Array, rest_rad: Array, *, de
 
 
 def bending_bilinear(corners: Corners, stiffness_j: Array, left: Array, right: Array) -> Array:
-    """Returns ``left``^T H ``right`` per hinge (H,) for directions (4, 3, H); H the definite Hessian, never stored."""
+    """Returns ``left``^T H ``right`` [N/m times the units of both] (H,) of every hinge, without storing H, the definite
+    Hessian of ``bending_hessian``. ``left`` and ``right`` (4, 3, H) are displacements of the corners."""
     xp = namespace(stiffness_j)
     slope = angle_gradient(hinge(corners))
     return stiffness_j * xp.sum(slope * left, axis=(0, 1)) * xp.sum(slope * right, axis=(0, 1))
 
 
 def angle_gradient(hinges: Hinge) -> Array:
-    """Derivative [1/m] (4, 3, H) of the angle by the corners, sum over both sides of c_i n / n^2."""
+    """Returns the gradient [rad/m] (4, 3, H) of the dihedral angle by the corners: the sum over both triangles of c_i n
+    / n^2."""
     xp = namespace(hinges.length)
     factors = _factors(hinges)
     first, second = (

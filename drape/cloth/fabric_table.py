@@ -113,8 +113,11 @@ ALIASES = {"soft": "jersey", "limp": "chiffon", "stiff": "denim", "crisp": "popl
 
 
 def fabric(which: str | Mapping[str, float] | Fabric) -> Fabric:
-    """Returns a fabric: the one called ``which``, one of the numbers in a mapping with the fields of ``Fabric``, or
-    ``which`` itself if it is a fabric."""
+    """Returns the fabric called ``which``, the fabric with the numbers in the mapping ``which`` (fields of ``Fabric``),
+    or ``which`` itself if it is a fabric.
+
+    Raises ``NotFound`` for an unknown name and ``InputError`` for missing, unknown or unphysical numbers.
+    """
     if isinstance(which, Fabric):
         return which
     if isinstance(which, str):

@@ -97,7 +97,7 @@ def rest_of(cloth: RestCloth, rest: Rest = "auto") -> tuple[RestState, RestFigur
     that is ``sewn`` has the angles and hems that its maker says: folds of its drape are no creases.
     """
     grain = read_grain(cloth.vertices, cloth.modelled, cloth.faces, cloth.on_corners, cloth.uv_unit_m)
-    state = rest_state.modelled(cloth.vertices, cloth.faces, grain.warp)
+    state = rest_state.modelled_rest(cloth.vertices, cloth.faces, grain.warp)
     unit = panel_unit(grain, cloth.uv_unit_m)
     kept = np.ones(len(state.hinge_angle), dtype=bool)
     lengths = "mesh"

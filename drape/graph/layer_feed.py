@@ -10,7 +10,7 @@ import numpy as np
 from drape.arrays import Array, namespace
 from drape.arrays.tensors import Tensors, group, tensor
 from drape.body.model import BodyModel
-from drape.contact.cloth_samples import MEMBERS, ClothSamples, cloth_samples, hidden_under, joined
+from drape.contact.cloth_samples import MEMBERS, ClothSamples, cloth_samples, hidden_samples, join_samples
 from drape.contact.field import take
 from drape.contact.projection import CLEARANCE_M, Pushed, PushFeed, push_in_parts
 from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, table_of_columns, unit_cross
@@ -64,11 +64,11 @@ def pack_layer(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples,
     hidden = [np.zeros(surface.count, dtype=bool) for surface in surfaces]
     for layer, surface in enumerate(surfaces):
         for over in sheets[layer:]:
-            hidden[layer] |= hidden_under(surface, over.vertices, over.faces)
+            hidden[layer] |= hidden_samples(surface, over.vertices, over.faces)
     by_region = np.concatenate(hidden).reshape(-1, REGION_SIZE)
     region = np.flatnonzero(~by_region.all(axis=1))
     region = np.concatenate([region, np.repeat(region[-1:], -len(region) % POSED_REGIONS)])
-    seen = joined(surfaces).of_regions(region)
+    seen = join_samples(surfaces).of_regions(region)
     first = np.cumsum([0, *(len(item.vertices) for item in sheets)])[:-1]
     member = np.concatenate([item.samples.member + start for item, start in zip(sheets, first, strict=True)])
     rows = np.concatenate([item.samples.rows for item in sheets])

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
-from drape.cloth.problem import rest_edges, unfolded
+from drape.cloth.problem import rest_edges, unfold_hinges
 from drape.geometry import meshes
 from drape.live.coarse_weights import in_lists
 from drape.live.swing_rows import SwingRows, swing_rows
@@ -97,7 +97,7 @@ def swing_mesh(
 
 def along_cloth(cloth: ClothMesh) -> Any:
     """Sparse symmetric (V, V): lengths [m] at rest of edges, and of diagonals between two triangles laid flat."""
-    edges, flat = rest_edges(cloth), unfolded(cloth)
+    edges, flat = rest_edges(cloth), unfold_hinges(cloth)
     place = np.concatenate([np.zeros((len(edges), 1, 2)), edges], axis=1)  # corners (F, 3, 2)
     faces, hinges = cloth.faces, cloth.hinge_index.reshape(4, -1).T
     ends = [(faces[:, i], faces[:, (i + 1) % 3]) for i in range(3)]

@@ -11,7 +11,7 @@ from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
-from drape.cloth.rest_state import flat
+from drape.cloth.rest_state import flat_rest
 from drape.exact import settling
 from drape.exact.newton import Cloth, Descent
 from drape.live.whole import stiffness
@@ -27,7 +27,7 @@ class At(NamedTuple):
 
 def cloth_of(name: str) -> tuple[ClothMesh, Material]:
     rest, faces = grid(12, 12, cell_m=0.01)
-    return ClothMesh.of(flat(rest, faces), faces, len(rest)), Material.of(fabric(name))
+    return ClothMesh.of(flat_rest(rest, faces), faces, len(rest)), Material.of(fabric(name))
 
 
 def test_where_the_stiffness_is_the_energys_own_one_round_is_enough():
