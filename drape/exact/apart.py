@@ -20,7 +20,8 @@ import numpy as np
 from drape.cloth.contact import BodyContact
 from drape.engine.calls import call, call_with_scratch
 from drape.exact import hessian, newton
-from drape.exact.newton import Band, Cloth, Found
+from drape.exact.newton import Band, Cloth
+from drape.exact.settling import State
 from drape.geometry import meshes
 from drape.geometry.triangle_pairs import pairs_within
 
@@ -37,7 +38,11 @@ STIFFNESS = 1.0 / 6.0  # of the body's contact at a mean vertex: k, per pair; b'
 
 
 def push_apart(x: np.ndarray, corner: np.ndarray, triangles: int, n_per_m: float, gradient: np.ndarray) -> float:
-    """The energy [J] of the barrier of stiffness ``n_per_m``; its gradient [N] is added to ``gradient`` (V, 3)."""
+    """Returns the barrier's energy [J] for vertices ``x`` [m] (V, 3), and adds its gradient [N] to ``gradient`` (V, 3).
+
+    ``corner`` (N, 4) are the corners of pairs that are near: the first ``triangles`` pairs are of a vertex and a
+    triangle, the others of two edges. ``n_per_m`` [N/m] is the barrier's stiffness.
+    """
     energy = np.empty(1)
     call("push_apart", np.float64, x, corner, len(corner), triangles, REACH_M, n_per_m, gradient, energy)
     return float(energy[0])
@@ -46,28 +51,33 @@ def push_apart(x: np.ndarray, corner: np.ndarray, triangles: int, n_per_m: float
 def add_curvature(
     x: np.ndarray, corner: np.ndarray, triangles: int, n_per_m: float, place: np.ndarray, blocks: np.ndarray
 ) -> None:
-    """Adds the positive part of the barrier's Hessian [N/m] to ``blocks`` (N, 3, 3); pair n has its own at ``place[n]``
-    (4, 4)."""
+    """Adds the positive part of the barrier's Hessian [N/m] to ``blocks`` (N, 3, 3). The corners i and j of pair n have
+    the block ``place[n, i, j]``; the other arguments are those of ``push_apart``."""
     call("add_curvature", np.float64, x, corner, len(corner), triangles, REACH_M, n_per_m, place, blocks)
 
 
 def free_shares(x: np.ndarray, step: np.ndarray, corner: np.ndarray, triangles: int, share: np.ndarray) -> float:
-    """Writes to ``share`` (V,) how much of ``step`` [m] (V, 3) each vertex may go, at most 1; returns the least.
+    """Writes to ``share`` (V,) which share of its ``step`` [m] (V, 3) each vertex may go, in [0, 1], and returns the
+    least.
 
-    If all go by the least, every pair keeps at least a fifth of its distance on all of the way.
+    If all vertices go by the least, every pair keeps at least a fifth of its distance on all of the way. Pairs are
+    those of ``push_apart``.
     """
     call("free_shares", np.float64, x, len(x), step, corner, len(corner), triangles, share)
     return float(share.min())
 
 
 def yield_to(x: np.ndarray, step: np.ndarray, corner: np.ndarray, triangles: int, wanted: tuple[float, float]) -> None:
-    """Bends ``step`` [m] (V, 3) until, to first order, every pair keeps a fifth of its distance, and where it is nearer
-    than the first of ``wanted`` [m] gains the second: projections onto one pair after the other."""
+    """Changes ``step`` [m] (V, 3) in place until, to first order, every pair keeps a fifth of its distance. A pair
+    nearer than the first of ``wanted`` [m] gains the second in distance.
+
+    The step is projected onto one pair after the other. Pairs are those of ``push_apart``.
+    """
     call_with_scratch("yield_to", np.float64, x, step, corner, len(corner), triangles, *wanted)
 
 
 class ApartDescent(newton.Descent):
-    """A descent that keeps the cloth apart from itself."""
+    """A descent in which the cloth passes nowhere through itself, if it does not in the start."""
 
     def __init__(
         self, cloth: Cloth, contact: BodyContact, posed: np.ndarray, start: np.ndarray, **springs: Band | None
@@ -96,19 +106,20 @@ class ApartDescent(newton.Descent):
         """The pairs that push, and how many of them are of a vertex and a triangle."""
         return self._pairs.corner[self._pushed], int((self._pushed < self._pairs.triangles).sum())
 
-    def found(self, x: np.ndarray) -> Found:
-        there = super().found(x)
-        return there._replace(energy=there.energy + push_apart(x, *self._pairs, self._stiffness, there.force))
+    def evaluate(self, x: np.ndarray) -> State:
+        there = super().evaluate(x)
+        return there._replace(energy=there.energy + push_apart(x, *self._pairs, self._stiffness, there.gradient))
 
-    def _take(self, there: Found) -> None:
+    def _take(self, there: State) -> None:
         self._look(there.x)
         super()._take(there)
 
     def go(self, step: np.ndarray) -> None:
-        """Moves by as much of ``step`` [m] (V, 3) as lets nothing pass through anything, whatever its energy."""
+        """Moves the cloth by as much of ``step`` [m] (V, 3) as lets nothing pass through anything, even if its energy
+        rises."""
         x = self.now.x + self._free(self._yielded(_short(step), CARRIED_M))
         self._look(x)
-        self.now = self.best = self.found(x)
+        self.now = self.best = self.evaluate(x)
 
     def _yielded(self, step: np.ndarray, wanted: tuple[float, float]) -> np.ndarray:
         bent = step.copy()

@@ -24,7 +24,7 @@ TINY = 1e-12  # the length of a normal that is none
 
 
 class BlendedPlanes:
-    """Planes under moving points. At its point a plane has the blended distance and its gradient.
+    """The planes of a body under a number of moving points. The plane of a point gives the blended distance there.
 
     A point with no skin within reach takes the plane of what is nearest if it lies behind it. Otherwise it takes a
     plane that it does not touch: beside hands and feet a plane from decimetres away cuts through free space. A point
@@ -46,7 +46,8 @@ class BlendedPlanes:
 
     @classmethod
     def of_body(cls, contact: BodyContact, posed: np.ndarray, point_count: int, gap_m: float) -> BlendedPlanes:
-        """Returns the planes of a ``posed`` body (Vb, 3) [m], of the skin that takes part in ``contact``."""
+        """Returns the planes of the body with the vertices ``posed`` [m] (Vb, 3) under ``point_count`` points. Only the
+        skin that takes part in ``contact`` counts, and contact begins at ``gap_m`` [m]."""
         chosen = slice(None) if contact.vertices is None else contact.vertices
         normal = np.asarray(contact.normals(posed))
         middle, across = posed[contact.edges].mean(axis=1), normal[contact.edges].sum(axis=1)
@@ -55,7 +56,8 @@ class BlendedPlanes:
         return cls(points, normals, point_count, gap_m)
 
     def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Point [m], normal (V, 3) and second derivatives [1/m] (V, 3, 3) under ``x`` [m] (V, 3).
+        """Returns the planes under ``x`` [m] (V, 3): a point [m] and a normal of each, (V, 3), and the second
+        derivatives [1/m] (V, 3, 3) of the distance.
 
         A normal is the gradient of the distance, not quite of unit length.
         """
@@ -77,9 +79,10 @@ class BlendedPlanes:
 def blended_distance(
     points: np.ndarray, contact: BodyContact, body_vertices: np.ndarray, *, gap_m: float
 ) -> np.ndarray:
-    """Blended distances [m] (F, V) of ``points`` (F, V, 3) to the posed bodies ``body_vertices`` (F, Vb, 3).
+    """Returns the blended distances [m] (F, V) of ``points`` [m] (F, V, 3) from the posed bodies ``body_vertices`` [m]
+    (F, Vb, 3), positive outside.
 
-    They serve a contact layer of ``gap_m``: a point outside and beyond reach has some distance past the gap.
+    They are exact within a contact layer of ``gap_m`` [m]; a point farther outside has some distance past the gap.
     """
     distances = np.empty(points.shape[:2])
     for frame, posed in enumerate(body_vertices):
