@@ -61,8 +61,8 @@ def hinge(corners: Corners, collapsed: float = COLLAPSED) -> Hinge:
 
 
 def one_minus_cosine(hinges: Hinge, cosine: Array, sine: Array) -> Array:
-    """Returns 1 - cos(theta - theta0) (..., H) of ``hinges``, from ``cosine`` and ``sine`` (H,) of the rest angle
-    theta0."""
+    """Returns 1 - cos(theta - theta0) (..., H) of ``hinges`` with the dihedral angle theta; ``cosine`` and ``sine``
+    (H,) are those of the angle theta0 at rest."""
     return 1.0 - (hinges.cosine * cosine + hinges.sine * sine)
 
 
@@ -76,7 +76,8 @@ def bending_energy(corners: Corners, stiffness_j: Array, rest_rad: Array) -> Arr
 
 
 def bending_gradient(corners: Corners, stiffness_j: Array, rest_rad: Array) -> Array:
-    """Returns the gradient [N] (4, 3, H) of ``bending_energy`` by the four ``corners``, minus the force on each."""
+    """Returns the gradient [N] (4, 3, H) of ``bending_energy`` by the four ``corners``. The forces on them are its
+    negative."""
     found = hinge(corners)
     return stiffness_j * _turn(found, rest_rad)[1] * angle_gradient(found)
 
@@ -147,7 +148,7 @@ def _angle_hessian(hinges: Hinge) -> Array:
         arm, n = (xp.stack(list(vectors[side]), axis=0) for vectors in (hinges.arms, hinges.normals))
         q, c = hinges.squares[side] + COLLAPSED, _factors(hinges)[side]
         height = (arm - _dot(arm, u) * u) / length
-        # dc by corner (row) and by what moves (column)
+        # dc: the row is the corner whose c it is, the column the corner that moves
         slope = {
             (0, 0): height, (0, 1): u - height, (0, third): -u,
             (1, 0): -u - height, (1, 1): height, (1, third): u,

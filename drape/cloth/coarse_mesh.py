@@ -16,11 +16,11 @@ from drape.geometry import meshes
 from drape.geometry.closest import nearest_vertices
 
 EDGE_M = 0.026
-CREASE_RAD = 0.2  # of a hinge at rest
-# Share of its length by which an edge differs in two charts, and the most of the edges that seams of panels are.
+CREASE_RAD = 0.2  # a hinge with a larger angle at rest is a crease
+# An edge that differs in two charts by this share of its length is a seam; panels have no larger share of seams.
 APART, SEAMS_MOST = 1e-3, 0.1
-LONGEST = 1.7  # times the mean edge that is asked for
-LINES = 4  # edges of a vertex on lines that are remembered
+LONGEST = 1.7  # the longest edge, in mean edges that are asked for
+LINES = 4  # the most edges on lines (seams, creases, borders) that are kept of a vertex
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ def coarse_mesh(
     vertices or more, but at most a third of V.
     """
     count, hinges = len(vertices), meshes.hinges(faces)
-    wanted = rest.face_area.sum() / (0.5 * np.sqrt(3.0) * edge_m**2)  # two triangles a vertex
+    wanted = rest.face_area.sum() / (0.5 * np.sqrt(3.0) * edge_m**2)  # equilateral triangles, two for each vertex
     target = min(max(wanted, least), count / 3.0)
     edge_m = np.sqrt(rest.face_area.sum() / (0.5 * np.sqrt(3.0) * target))
     corner = np.zeros((len(faces), 3, 2))

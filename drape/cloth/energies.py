@@ -140,11 +140,8 @@ def bending(positions: Array, mesh: ClothMesh, material: Material) -> Array:
 
 
 def gravity(positions: Array, mesh: ClothMesh, material: Material, *, height_m: float | Array = 0.0) -> Array:
-    """Returns the potential energy m g (y - height) [J] (...) of ``positions`` [m] (..., V, 3), summed over the
-    vertices.
-
-    ``height_m`` is a number or (..., 1).
-    """
+    """Returns the potential energy of weight, m g (y - height) [J] (...), of ``positions`` [m] (..., V, 3), summed over
+    the vertices. ``height_m`` [m], where it is zero, is a number or (..., 1)."""
     xp = namespace(positions)
     weight = material.gravity_m_s2 * mesh.vertex_mass(material)
     return xp.sum(weight * (positions[..., 1] - height_m), axis=-1)

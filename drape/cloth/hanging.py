@@ -17,10 +17,10 @@ from drape.geometry.symmetric import symmetric_factor
 
 DENSITY_KG_M2, STIFFNESS_N_PER_M, GRAVITY_M_S2 = 0.2, 200.0, 9.81
 STEP_S = 0.04  # a free vertex sinks by 16 mm
-GAP_M, NEAR_M = 0.008, 0.012  # what cloth keeps from the skin, and below which it is held
-REACH_M = 0.08  # farther from a vertex of the skin its plane says nothing
+GAP_M, NEAR_M = 0.008, 0.012  # the distance that cloth keeps from the skin, and that below which it is held
+REACH_M = 0.08  # the plane of a vertex counts up to this distance from it
 FIRM, LOOSE = 4.0, 0.5  # weights of contact where the skin holds cloth, and where it lets it slide
-RENEWED = 5  # steps that one factor serves
+RENEWED = 5  # one factor serves so many steps
 
 
 class HoldingSkin:

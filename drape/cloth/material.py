@@ -79,7 +79,7 @@ class Material:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if not isinstance(value, float | int):
-                continue  # made of fabrics that were looked at one by one
+                continue  # an array: each of its fabrics was checked before
             good = value > 0.0 if name in POSITIVE else name in SIGNED or value >= 0.0
             if not (good and np.isfinite(value)):
                 wanted = "a number > 0" if name in POSITIVE else "a finite number, >= 0 where it has no sign"

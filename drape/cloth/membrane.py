@@ -79,7 +79,8 @@ def membrane_energy(corners: Corners, rest: RestTriangles, stiffness: Stiffness)
 
 
 def membrane_gradient(corners: Corners, rest: RestTriangles, stiffness: Stiffness) -> Array:
-    """Returns the gradient [N] (3, 3, F) of ``membrane_energy`` by the three ``corners``, minus the force on each."""
+    """Returns the gradient [N] (3, 3, F) of ``membrane_energy`` by the three ``corners``. The forces on them are its
+    negative."""
     p, t = deformation_columns(corners, rest.inverse)
     pp, tt, pt = stress(green_strain(p, t), stiffness)
     by_p, by_t = rest.area * (pp * p + pt * t), rest.area * (pt * p + tt * t)

@@ -24,7 +24,7 @@ THREAD_WEIGHT = 10.0
 CONTACT_WEIGHT = 10.0
 INERTIA_WEIGHT = 0.02
 BENDING_LENGTH_M = 0.01  # folds shorter than about this cost more to bend than to squeeze flat
-LONGEST_MOVE_M = 0.02  # in one iteration; below half of a wrist, so that no vertex jumps through the body
+LONGEST_MOVE_M = 0.02  # the longest way in an iteration: less than half a wrist, so that no vertex jumps through one
 COLLAPSED = 1e-12
 
 

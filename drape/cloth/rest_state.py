@@ -10,7 +10,7 @@ from drape.arrays import check_finite, check_shape
 from drape.errors import InputError, MeshError
 from drape.geometry import meshes
 
-SMALLEST_AREA_SHARE = 1e-9  # of the mean triangle; below it a rest shape has no inverse
+SMALLEST_AREA_SHARE = 1e-9  # share of the mean area; the shape of a smaller triangle has no inverse
 UP = (0.0, 1.0, 0.0)
 FORWARD = (0.0, 0.0, 1.0)  # the grain of cloth that lies level
 LEVEL = 0.1  # length of the grain's projection below which a triangle counts as level
@@ -71,7 +71,7 @@ def modelled_rest(vertices: np.ndarray, faces: np.ndarray, grain: np.ndarray | N
     3).
 
     ``grain`` (F, 3) is the unit warp in every triangle's plane; left out, it hangs vertically. Raises ``MeshError`` for
-    vertices or faces that are not a mesh.
+    vertices that are not finite, indices out of range and triangles without area.
     """
     rest = np.asarray(vertices, dtype=np.float64)
     check_shape("vertices", rest, (None, 3), error=MeshError)

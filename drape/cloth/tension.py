@@ -18,7 +18,7 @@ from drape.cloth import membrane
 from drape.cloth.energies import ClothMesh
 from drape.geometry import meshes
 
-LEAST_N_PER_M = 1e-9  # of the tension where there is none; keeps its root off zero
+LEAST_N_PER_M = 1e-9  # added where there is no tension, so that its root is not zero
 
 
 class Tension(NamedTuple):

@@ -19,7 +19,7 @@ from drape.errors import InputError
 from drape.geometry import closest, meshes
 
 SPACING_M = 0.014
-THIN_M = 0.008  # of vertices nearer to each other than this one gives tangents, so that fine meshes cost no more
+THIN_M = 0.008  # of vertices nearer together one gives tangents, so that fine meshes cost no more
 MEMBERS = 24  # vertices that the samples of a cluster are sums over
 CANDIDATES = 48
 COVER_M = 0.06  # cloth farther before a sample than this does not hide it

@@ -37,13 +37,13 @@ BESIDE_M2 = (0.026**2, 0.016**2)  # a point this far beside the samples is beyon
 DEPTH_M = (-0.035, -0.025)  # a point deeper inside belongs to another surface
 AGREEMENT = (0.35, 0.65)  # where mixed normals agree less, two surfaces are mixed
 LARGEST_PUSH_M = 0.030
-HAS_OTHER = 2.0  # in 255ths: a list has an other part where some sample is one by this much
-OTHER_LEAST = 1e-3  # the weight of a sample that is no other part, beside ones that are
+HAS_OTHER = 2.0  # in 255ths: there is another part where a sample belongs to one by this much
+OTHER_LEAST = 1e-3  # the weight of a sample that belongs to no other part, beside samples that do
 CHARTS_PER_VERTEX = 4
-JET_ROUNDS = 4  # fits, where charts carry all of the push
-JET_OVER = 2.0  # times a fit of what is missing: a fit spreads a push and so falls short of it
+JET_ROUNDS = 4  # fits of jets, whose charts carry all of the push
+JET_OVER = 2.0  # factor of each fit of what is missing: a fit spreads a push and so falls short of it
 TILE_WIDTH = 64  # columns of ten numbers: wider tiles than those of the drape are faster and still small
-TERMS = jets.coefficient_count(3)  # of a patch's polynomial
+TERMS = jets.coefficient_count(3)  # coefficients of a patch's cubic
 REGION_BIAS_M2 = 0.002  # squared distance [m^2] that one logit of a region outweighs
 
 
@@ -65,11 +65,6 @@ class PushFeed(PushTables, Recorded):
     slot_charts: Array = tensor(
         "push_slot_charts", CHARTS_PER_VERTEX, "groups", GROUP_SIZE * BLOCK_SIZE, dtype="int32", unit="column"
     )
-
-    @property
-    def patches(self) -> int:
-        """The number K of patches."""
-        return len(self.patch_fit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +88,8 @@ def push_out(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | 
 
 
 def push_in_parts(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | float = CLEARANCE_M) -> Pushed:
-    """Returns the vertices of ``push_out`` and the push for drapes by jets. A graph that is cut to the vertices leaves
-    the latter out."""
+    """Returns ``vertices`` [m] (F, V, 3) pushed as by ``push_out``, and the push as jets can show it. Arguments are
+    those of ``push_out``. A graph that is cut to the vertices leaves the jets out."""
     xp = namespace(vertices)
     start = columns(xp.matrix_transpose(vertices), _flat(feed.block_vertex))  # (F, 3, N)
     means, has_other = _means(start, skin, feed)
@@ -143,8 +138,8 @@ def push_out_of_bodies(
 
 
 def fit(displacement: Array, feed: PushFeed) -> Array:
-    """Returns for each of K patches the cubic nearest to ``displacement`` [m] (F, 3, N) of the slots, in the sense of
-    least squares: its coefficients [m] (F, K, 3, 10)."""
+    """Returns for each of K patches the cubic nearest to ``displacement`` [m] (F, 3, N) of the N slots of ``feed``, in
+    the sense of least squares: its coefficients [m] (F, K, 3, 10)."""
     xp = namespace(displacement)
     frames, (patches, members, _) = displacement.shape[0], feed.patch_fit.shape
     of_blocks = xp.mean(xp.reshape(displacement, (frames, 3, -1, BLOCK_SIZE)), axis=3)
@@ -153,8 +148,8 @@ def fit(displacement: Array, feed: PushFeed) -> Array:
 
 
 def blend_displacement(coefficients: Array, feed: PushFeed) -> Array:
-    """Returns the displacement [m] (F, 3, N) of the slots that the cubics ``coefficients`` [m] (F, K, 3, 10) of the
-    patches give them: their weighted mean over the charts of a slot."""
+    """Returns the displacement [m] (F, 3, N) of the N slots of ``feed`` that the cubics ``coefficients`` [m] (F, K, 3,
+    10) of the patches give them: their weighted mean over the charts of a slot."""
     xp = namespace(coefficients)
     frames, slots = coefficients.shape[0], feed.slot_charts.shape[1] * feed.slot_charts.shape[2]
     tiles, _, width = feed.tile_basis.shape
@@ -172,7 +167,7 @@ def _means(start: Array, skin: Array, feed: PushFeed) -> tuple[Array, Array]:
     own = _own_part(_apart(query, BLOCK_SIZE), skin, feed)
     table, bias, has_other = _other_parts(start, skin, feed)
     other = attend_columns(_apart(query, GROUP_SIZE * BLOCK_SIZE), table, bias)
-    # The points last again: what follows runs along them.
+    # The points come last again, because what follows runs along them.
     means = [xp.reshape(xp.permute_dims(part, (0, 2, 1, 3)), (frames, 8, -1)) for part in (own, other)]
     has_other = xp.broadcast_to(has_other, (*has_other.shape[:2], GROUP_SIZE * BLOCK_SIZE))
     return xp.concat(means, axis=2), xp.reshape(has_other, (frames, 1, -1))

@@ -23,8 +23,8 @@ from drape.geometry.rotations import dot_columns
 GAP_M = 0.006  # proximity begins at this distance; the contact energy at 4 mm
 UNIT_M = 0.01
 DEEP_M = (-0.060, -0.045)  # deeper inside there is no proximity
-HELD_M = 0.004  # below a plane: deeper no correction takes a point
-SOFT_M = 0.001  # by which the share of a correction changes gently, so that rounding is not seen
+HELD_M = 0.004  # no correction takes a point deeper below a plane
+SOFT_M = 0.001  # makes the share of a correction change gently, so that rounding is not seen
 OTHER_STEPS = 15  # half a byte: two samples lie in one where they are stored
 REGION_LEAST = 1e-6
 

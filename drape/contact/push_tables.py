@@ -15,12 +15,12 @@ from drape.errors import MeshError
 
 BLOCK_SIZE = 16  # vertices that share a list of skin samples
 GROUP_SIZE = 2  # blocks that query for other parts of the body together
-OWN_CLUSTERS = 10  # of skin samples under a block
+OWN_CLUSTERS = 10  # clusters of skin samples under a block
 OTHER_STEPS = 255
 
 OUTWARD_WIDTH_M = 0.02
 FRONT_M = (0.020, 0.035)  # a sample is another part where a block lies this far before its plane at rest
-APART_M = (0.080, 0.110)  # and where a block is that far away at rest, without the way through the limb
+APART_M = (0.080, 0.110)  # and where a block is that far away at rest, the way through the limb not counted
 THROUGH_M = 0.12  # the most that counts as the way through a limb
 OTHER_SIDE = 15.0  # logits that a sample loses per unit by which it faces away from the cloth over it
 REST_REACH_M = 0.035  # at equal distance skin nearer at rest is preferred: a logit per square of this
@@ -67,7 +67,7 @@ def push_tables(vertices: np.ndarray, skin: Samples, *, hidden: np.ndarray | Non
     short = -len(members) % GROUP_SIZE
     members = np.concatenate([members, np.repeat(members[-1:], short, axis=0)])
     slot = np.empty(len(rest), dtype=np.int64)
-    # Written backwards: the first place of a vertex counts.
+    # Written backwards, so that the first slot of a vertex counts.
     slot[members.reshape(-1)[::-1]] = np.arange(members.size)[::-1]
     lists = skin_lists(rest[members].mean(axis=1), unit(outward[members].mean(axis=1)), skin, hidden=hidden)
     by_group = lists.other.reshape(-1, GROUP_SIZE, skin.count).mean(axis=1)

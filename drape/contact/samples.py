@@ -18,9 +18,9 @@ from drape.geometry import mesh_graphs, meshes
 from drape.geometry.rotations import cross_columns, dot_columns
 
 DENSE_PER_DISC = 12  # random points drawn for each sample kept
-NORMAL_REACH = 1.5  # spacings over which a sample's tangents are averaged
+NORMAL_REACH = 1.5  # in spacings: the distance over which a sample's tangents are averaged
 REGION_SIZE = 12  # samples of other parts that are looked up together
-CLUSTER_SIZE = 4  # and of the own part
+CLUSTER_SIZE = 4  # samples of the own part that are looked up together
 POSED_REGIONS = 4  # regions that are posed in one product
 
 FACING = 0.2  # cosine from which a vertex counts as facing the way of a sample
@@ -106,7 +106,7 @@ def place(
     regions = blocks(point, normal, REGION_SIZE)
     order = np.concatenate([region[blocks(point[region], normal[region], CLUSTER_SIZE)] for region in regions])
     order = order.reshape(-1)
-    # Whole products: the last region again, which changes no mean by more than its weight.
+    # The last region fills up the last part. It counts twice, which changes a mean by its weight at most.
     short = -(len(order) // REGION_SIZE) % POSED_REGIONS
     order = np.concatenate([order, np.tile(order[-REGION_SIZE:], short)])
     return Placed(face[order], weight[order], point[order], normal[order], own[order])

@@ -36,7 +36,7 @@ from drape.errors import BodyError
 from drape.geometry import closest
 
 SPACING_LIMITS_M = (0.012, 0.020)
-SPACING_PER_RADIUS = 0.55  # a limb has eleven samples around it, whatever its thickness, within the limits
+SPACING_PER_RADIUS = 0.55  # so a limb of any thickness has eleven samples around it, within the limits
 HEAD_SPACING_M, FOOT_SPACING_M = 0.025, 0.014  # a heel and the edge of a sole turn within a centimetre or two
 HEAD = JOINT_NAMES.index("head")
 FEET = tuple(i for i, name in enumerate(JOINT_NAMES) if name.endswith(("ankle", "foot")))
@@ -111,7 +111,7 @@ class ShapedSkin:
         plain = skin_table(self.rows[0], self.bones, rotations[~shaped], translations[~shaped])
         if not shaped.any():
             return plain
-        # Rows of a shape are ten times what a frame needs: only of those that have one.
+        # Rows of a shape are ten times what a frame needs, so they are computed only for bodies that have one.
         found = np.empty((len(shaped), *plain.shape[1:]), dtype=plain.dtype)
         found[~shaped] = plain
         found[shaped] = skin_table(self.of(betas[shaped]), self.bones, rotations[shaped], translations[shaped])
@@ -129,11 +129,11 @@ def skin_table(rows: Array, bones: Array, rotations: Array, translations: Array)
     parts, count = bones.shape
     by_axis = xp.reshape(xp.permute_dims(stacked, (0, 2, 1, 3)), (-1, JOINT_COUNT, 4))
     taken = take(by_axis, xp.reshape(bones, (-1,)), axis=1)
-    # Three rows times many columns: the shape that products of small matrices are fast in.
+    # Three rows times many columns, because products of small matrices are fast in this shape.
     width, size = 4 * count, POSED_REGIONS * REGION_SIZE
     of_parts = xp.permute_dims(xp.reshape(taken, (-1, 3, parts, width)), (0, 2, 1, 3))
     posed = of_parts @ xp.reshape(rows, (-1, parts, width, 3 * size))
-    # All samples of a kind side by side: the operations that follow run along three rows of thousands.
+    # All samples of a kind lie side by side, so that the operations below run along three rows of thousands.
     kinds = xp.permute_dims(xp.reshape(posed, (-1, parts, 3, 3, size)), (0, 3, 2, 1, 4))
     point, first, second = (xp.reshape(kinds[:, k], (-1, 3, parts * size)) for k in range(3))
     table = table_of_columns(point, unit_cross(first, second))

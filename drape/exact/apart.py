@@ -27,14 +27,16 @@ from drape.geometry.triangle_pairs import pairs_within
 
 REACH_M = 0.002  # distance at which cloth feels cloth: about two layers of it
 NEAR_M = 0.009  # distance up to which pairs are looked at
-STEP_M = 0.5 * (NEAR_M - REACH_M)  # the most that a vertex moves: what is not looked at stays out of reach
-SHARE = 0.45  # of the distance to what is nearest, in a sweep: two that come towards each other do not meet
-# A step that may go by less than ``ENOUGH`` yields, and slows down where that is too little, ``BENDS`` times at most.
-# Pairs nearer than the first of its distances come no nearer, and open by the second: carried cloth has no energy that
-# would keep it away from the floor.
+STEP_M = 0.5 * (NEAR_M - REACH_M)  # the most that a vertex moves: other pairs stay out of reach
+SHARE = 0.45  # of the distance to the nearest pair that a sweep may go: two that approach each other do not meet
+# A step of which less than the share ENOUGH is free yields (``yield_to``), and slows down where that is too little,
+# BENDS times at most. PRESSED_M and CARRIED_M are the distances that it wants, under forces and without: cloth that is
+# carried has no energy that would keep it away from other cloth.
 ENOUGH, BENDS = 0.5, 3
 PRESSED_M, CARRIED_M = (1e-4, 0.0), (5e-4, 1e-4)
-STIFFNESS = 1.0 / 6.0  # of the body's contact at a mean vertex: k, per pair; b'' at half of the reach is 6.4 k
+# The barrier's stiffness k of a pair, as a share of the body's contact at a mean vertex; at half of the reach its
+# second derivative is 6.4 k.
+STIFFNESS = 1.0 / 6.0
 
 
 def push_apart(x: np.ndarray, corner: np.ndarray, triangles: int, n_per_m: float, gradient: np.ndarray) -> float:

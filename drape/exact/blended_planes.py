@@ -16,11 +16,11 @@ from scipy.spatial import KDTree
 from drape.cloth.contact import BodyContact
 from drape.engine.calls import call_with_scratch
 
-REACH_M = 0.04  # points of the skin farther away are not blended, unless contact reaches nearly as far
-REACH_GAPS = 1.25  # then so many times as far as contact
-BEHIND = -0.2  # cosine between a plane's normal and the way to a point beyond reach, below which that is inside
-FAR_M = 0.02  # a point asks for what is nearest again when it has moved by so much
-TINY = 1e-12  # the length of a normal that is none
+REACH_M = 0.04  # points of the skin within this distance are blended
+REACH_GAPS = 1.25  # or within so many times the distance at which contact begins, if that is more
+BEHIND = -0.2  # a point beyond reach is inside if the way to it and the plane's normal have a smaller cosine
+FAR_M = 0.02  # a point that has moved so far looks for the nearest skin again
+TINY = 1e-12  # keeps the sum of two opposite normals from dividing by zero
 
 
 class BlendedPlanes:
@@ -37,10 +37,10 @@ class BlendedPlanes:
         self._skin = np.ascontiguousarray(point, dtype=np.float64), np.ascontiguousarray(normal, dtype=np.float64)
         self._tree = KDTree(point)
         self._asked = np.full((point_count, 3), np.inf)  # where the nearest point of the skin was looked up
-        self._free = np.zeros(point_count, dtype=bool)  # so far outside there that nothing is touched within FAR_M
+        self._free = np.zeros(point_count, dtype=bool)  # it touches nothing within FAR_M of there
         self._beyond = np.zeros(point_count, dtype=bool)  # no skin is within reach
         self._blended = np.full((point_count, 3), np.inf)  # where the blend was
-        self._clear = np.zeros(point_count)  # how far from there it cannot touch
+        self._clear = np.zeros(point_count)  # how far from there it can touch nothing
         self._point, self._normal = np.zeros((point_count, 3)), np.zeros((point_count, 3))
         self._bend = np.zeros((point_count, 3, 3))
 

@@ -16,8 +16,8 @@ from drape.exact.blended_planes import BlendedPlanes
 from drape.geometry import meshes
 from drape.geometry.triangle_pairs import crossing_pairs
 
-ROOM_M = 0.006  # of cloth on either side: skins nearer than twice this have none between them
-PUSHES = 3  # of a point along the plane that it is under
+ROOM_M = 0.006  # what cloth needs on either side: between skins nearer than twice this there is none
+PUSHES = 3  # steps of a point along the normal of the plane above it
 
 
 def without_creases(contact: BodyContact, posed: np.ndarray) -> BodyContact:
@@ -42,7 +42,7 @@ def hidden_skin(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
     size = np.bincount(piece)[piece] * ~cut
     largest = np.zeros(whole.max() + 1, piece.dtype)
     order = np.argsort(size, kind="stable")
-    largest[whole[order]] = piece[order]  # the last one written is of the largest
+    largest[whole[order]] = piece[order]  # sizes ascend, so the last one written is the largest
     return ~cut & (piece != largest[whole])
 
 

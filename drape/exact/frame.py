@@ -29,7 +29,7 @@ from drape.garment.cache import Garment
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.geometry.triangle_pairs import crossing_pairs
 
-STEPS = 400  # of Newton's method, at most
+STEPS = 400  # the most steps of Newton's method
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +134,9 @@ def exact(
     start_j = _over(sheet, posed, start, band).now.energy
     end = _down(sheet, posed, x, band)
     if x is not start and _over(sheet, posed, end.x, band).now.energy > start_j:
-        end = _down(sheet, posed, start, band)  # never above the start, though what crosses there goes on to
-    x = end.x.astype(np.float32).astype(np.float64)  # what is stored, and what the next frame comes from
+        # The energy must not rise, though what crosses in the start then crosses in the end.
+        end = _down(sheet, posed, start, band)
+    x = end.x.astype(np.float32).astype(np.float64)  # float32 is what is stored, and the next frame begins there
     over = _over(sheet, posed, x, band)
     report = FrameFigures(
         force_share=float(np.linalg.norm(end.gradient)) / sheet.cloth.weight_n,
@@ -164,7 +165,7 @@ def _arrived(
     if not crossed:
         return start
     t_pose = np.zeros_like(pose)
-    t_pose[0] = pose[0]  # the root turned as in ``pose``
+    t_pose[0] = pose[0]  # the root is turned as in the pose
     rest = np.ascontiguousarray(sheet.rest @ np.asarray(rotvec_to_matrix(pose[0])).T)
     x = lead(cloth, contact, body, rest, (t_pose, pose))
     return draw_to(cloth, contact, body.posed(pose), x, start, sheet.band(start))

@@ -25,23 +25,23 @@ from drape.exact.linear import Charts
 from drape.exact.settling import State
 from drape.exact.surroundings import Around, surroundings
 
-TOLERANCE = 0.01  # of the weight: the norm of the force left at rest
+TOLERANCE = 0.01  # share of the weight: at rest the norm of the force left is no larger
 REACH_M = 0.01  # the most that one step moves a vertex
-SWEEPS = 4  # of vertex block descent before settling and before the first step: they take the worst away
-WORST, WORST_SWEEPS = 0.05, 4  # share of the vertices, those under the most force, swept after every step, so often
-DAMPING = 1e-5  # of the diagonal blocks, on top of the Hessian
-ITERATIONS = 100  # of conjugate gradients per step, at most
-ROUGH, FINE = 0.3, 0.1  # share of the residual that they leave, while blending and while shifting
-EXACT_START, EXACT_LEAST = 0.05, 0.02
-SHIFTING = 0.05  # of the weight: the force below which the Hessian is taken as it is
-SHIFT_N_PER_M, SHIFT_LEAST_N_PER_M = 1.0, 1e-3  # per vertex of mean area
-LATE = 60  # iterations after which a direction that meets negative curvature is worth its step
+SWEEPS = 4  # sweeps before settling and before the first step: they take the largest forces away
+WORST, WORST_SWEEPS = 0.05, 4  # after every step this share of the vertices, under the most force, is swept so often
+DAMPING = 1e-5  # share of the diagonal blocks that is added to the Hessian
+ITERATIONS = 100  # the most iterations of conjugate gradients in a step
+ROUGH, FINE = 0.3, 0.1  # share of the residual that they leave: before the Hessian is exact, and when it is shifted
+EXACT_START, EXACT_LEAST = 0.05, 0.02  # the share of the exact Hessian: the first one, and the least before none
+SHIFTING = 0.05  # share of the weight: below this force the Hessian is exact, with a shift
+SHIFT_N_PER_M, SHIFT_LEAST_N_PER_M = 1.0, 1e-3  # the first shift and the least, at a vertex of mean area
+LATE = 60  # after so many iterations a direction is worth its step even if it met negative curvature
 HALVINGS = 8
-COARSE_AGE = 4  # steps that an inverse on the charts serves
-STALLS, STALLED_N_PER_M = 6, 16.0  # steps one after the other that lower nothing, and the shift after the first
-COLLAPSED = 0.05  # of its area at rest: a triangle that is laid out anew where no step lowers the energy
-LAYINGS = 6
-# Rounds of settling: of every start, of the lowest, and those that go with a step, where few are wanted.
+COARSE_AGE = 4  # an inverse on the charts serves so many steps
+STALLS, STALLED_N_PER_M = 6, 16.0  # after so many steps in a row without gain it ends; the shift after the first
+COLLAPSED = 0.05  # share of its area at rest: a smaller triangle is laid out anew where no step lowers the energy
+LAYINGS = 6  # times at most
+# Rounds of settling: of every start, of the lowest one, and the most for each step where few steps are wanted.
 ROUGH_ROUNDS, ROUNDS, ROUNDS_PER_STEP = 40, 400, 10
 
 
@@ -98,10 +98,10 @@ class Descent:
     ) -> None:
         self.cloth, self.problem, self.band, self.pull = cloth, cloth.problem, band, pull
         self._planes = BlendedPlanes.of_body(contact, posed, len(start), float(cloth.problem.constants.gap))
-        self._met: tuple[np.ndarray, Around, np.ndarray] | None = None  # what ``around`` gave last, of what
+        self._met: tuple[np.ndarray, Around, np.ndarray] | None = None  # the last argument and result of ``around``
         self.steps = self._layings = 0
-        self.exact = 0.0  # how much of the Hessian's indefinite part is in it, until the force is small
-        self.shift: float | None = None  # from then on [N/m], on the whole Hessian
+        self.exact = 0.0  # share of the exact Hessian in it, until the force is small
+        self.shift: float | None = None  # [N/m], added to the exact Hessian from then on
         triangles = self.problem.triangles
         area = np.bincount(triangles.corner.reshape(-1), np.repeat(triangles.area, 3), len(start))
         self._per_shift = (area / area.mean())[:, None, None] * np.eye(3)
@@ -170,7 +170,7 @@ class Descent:
             if stalls == STALLS:
                 break
             if not self._lay_out():
-                # A step so short that it is one of steepest descent.
+                # So large a shift makes the step a short one of steepest descent.
                 self.shift = max(4.0 * (self.shift or 0.0), STALLED_N_PER_M)
         at_rest = np.linalg.norm(self.now.gradient) <= tolerance_n and self.now.energy <= self.start_j
         return (self.now if at_rest else self.best)._replace(at_rest=bool(at_rest), steps=self.steps)
@@ -202,7 +202,7 @@ class Descent:
             if lowered:
                 self._take(there)
                 break
-            # The least of the parabola through what is known, within a tenth and a half.
+            # The minimum of the parabola through both energies and the slope, but between a tenth and a half.
             wanted = -0.5 * share * share * slope / max(there.energy - now.energy - share * slope, 1e-300)
             share = min(max(wanted, 0.1 * share), 0.5 * share) if np.isfinite(wanted) else 0.1 * share
         share = share if lowered else 0.0
@@ -238,7 +238,7 @@ class Descent:
             self._renew_coarse(pattern, single)
             system = linear.System(pattern, single, inverse, self.cloth.charts, self._coarse)
             count = linear.conjugate_gradients(system, force, left, ITERATIONS, moved)
-            # A direction that curves down leads far away, unless it came late.
+            # A direction of negative curvature leads far away, unless many iterations came before it.
             if self.shift is not None:
                 if count > 0 or count < -LATE or self.shift > 1e8:
                     break

@@ -24,11 +24,11 @@ from drape.exact import apart, creases
 from drape.exact.newton import Band, Cloth
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
 
-WAY_M = 0.02  # of the cloth in a step of the body
-CARRIED, STEPS = 6, 3  # moves without, and steps with, an energy in each of these
-ROUNDS, DEEP_M = 6, 0.002  # so many times as many steps at most, while cloth is deeper than this in the skin
-HOLD_N_PER_M = 2.0  # of the springs to where the skin would take the cloth, at a mean vertex
-DRAWN_STEPS, DRAWN_N_PER_M = 30, 10.0  # of the way to the drape that crosses
+WAY_M = 0.02  # the longest way of the cloth in a step of the body
+CARRIED, STEPS = 6, 3  # in each of these: moves whatever the energy, then steps that lower it
+ROUNDS, DEEP_M = 6, 0.002  # rounds of steps at most, as long as cloth is deeper than this in the skin
+HOLD_N_PER_M = 2.0  # the stiffness, at a mean vertex, of the springs to where the skin would take the cloth
+DRAWN_STEPS, DRAWN_N_PER_M = 30, 10.0  # the steps towards the drape that crosses, and the stiffness of their springs
 
 
 @dataclass(frozen=True, eq=False)

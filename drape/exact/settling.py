@@ -20,16 +20,17 @@ from drape.cloth.material import Material
 from drape.live.whole import stiffness
 
 MEMORY = 0.98
-LONGEST_M = 0.02  # of a vertex's step, and of its way that is remembered
-LOOK = 25  # rounds after which the energy is looked at
-LEAST_GAIN = 2e-3  # of all that was gained: less in LOOK rounds, twice running, and it ends
+LONGEST_M = 0.02  # the longest step of a vertex, and the longest that is remembered
+LOOK = 25  # the energy is looked at every so many rounds
+LEAST_GAIN = 2e-3  # settling ends after twice LOOK rounds that each gain less than this share of all gain
 
 
 class State(NamedTuple):
-    """A state of a descent: the vertices ``x`` [m] (V, 3), their ``energy`` [J], and its ``gradient`` [N] (V, 3) there,
-    which is minus the force on each vertex.
+    """A state of a descent: the vertices ``x`` [m] (V, 3), their ``energy`` [J], and its ``gradient`` [N] (V, 3) there.
+    The force on each vertex is the negative of that.
 
-    ``at_rest``: the descent has ended there with as little force as it should. ``steps`` of Newton's method led there.
+    ``at_rest``: the descent has ended there with as little force as it should. ``steps`` of Newton's method led
+    there.
     """
 
     x: np.ndarray

@@ -43,7 +43,7 @@ class Tiles(Recorded):
 
     @classmethod
     def of(cls, garment: PackedGarment) -> Tiles:
-        """Returns the constants of ``garment``."""
+        """Returns scales, tiles and charts of ``garment``, by which its vertices are blended."""
         stored, charts, none = garment.stored, garment.vertex_charts, garment.vertex_charts[:0]
         narrow = charts.dtype == np.uint16
         return cls(

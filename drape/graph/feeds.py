@@ -15,7 +15,7 @@ from drape.arrays import check_finite, check_shape
 from drape.body.features import Kinematics, feature_count, static_features
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
-from drape.contact.proximity import PatchSkin, patch_skin
+from drape.contact.proximity import patch_skin
 from drape.contact.push_tables import outward_directions
 from drape.contact.skin import Skin, body_skin, shaped_skin
 from drape.errors import MotionError
@@ -79,8 +79,8 @@ def shape_numbers(body: BodyModel, betas: np.ndarray | None) -> np.ndarray:
 
 
 def kinematics(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray | None = None) -> Kinematics:
-    """Returns the joints, rotations and pose features of F frames that ``motion_features`` compares, for ``poses`` (F,
-    24, 3) [rad], root translations ``trans`` [m] (F, 3), and ``betas``, one shape (S,) or one for each frame (F, S)."""
+    """Returns pose features, joints [m] in the world and bone rotations of F frames, float64, for ``poses`` (F, 24, 3)
+    [rad], root translations ``trans`` [m] (F, 3), and ``betas``, one shape (S,) or one for each frame (F, S)."""
     poses = np.asarray(poses, dtype=np.float64)
     rotations, translations = body.bones(poses, trans, betas)
     joints = (rotations @ body.rest_joints(betas)[..., None])[..., 0] + translations
@@ -112,7 +112,7 @@ def atlas_feed(atlas: Atlas, *, count: int | None = None, skin: Skin | None = No
     """
     shapedirs = np.zeros((atlas.patch_count, 3, BETA_COUNT), dtype=np.float32)
     shapedirs[..., : atlas.patch_shapedirs.shape[2]] = atlas.patch_shapedirs
-    local = atlas.chart_local()
+    local, centre = atlas.chart_local(), atlas.patch_centre.astype(np.float64)
     patches = PatchTensors(
         centre=atlas.patch_centre,
         rotation=atlas.patch_rotation,
@@ -121,7 +121,7 @@ def atlas_feed(atlas: Atlas, *, count: int | None = None, skin: Skin | None = No
         heaviest=atlas.heaviest_bone,
         shapedirs=shapedirs,
         place=None if skin is None else strain_places(atlas.patch_jet, atlas.patch_scale),
-        skin=None if skin is None else _skin_near(atlas, skin),
+        skin=None if skin is None else patch_skin(centre, outward_directions(centre, skin), skin),
     )
     charts = ChartTensors(
         patch=atlas.chart_patch[:count],
@@ -130,12 +130,6 @@ def atlas_feed(atlas: Atlas, *, count: int | None = None, skin: Skin | None = No
         local=local[:count],
     )
     return _arrays(patches.flat() | charts.flat() | _agreement(atlas, local))
-
-
-def _skin_near(atlas: Atlas, skin: Skin) -> PatchSkin:
-    """The skin samples near the patches."""
-    centre = atlas.patch_centre.astype(np.float64)
-    return patch_skin(centre, outward_directions(centre, skin), skin)
 
 
 def _agreement(atlas: Atlas, local: np.ndarray) -> dict[str, np.ndarray]:

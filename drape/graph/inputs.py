@@ -19,7 +19,7 @@ from drape.garment.consensus import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.geometry import jets
 
 BETA_COUNT = 10
-SLOPE = 0.01  # of the network's bends: LeakyReLU, as in appendix A.3 of OneFit
+SLOPE = 0.01  # LeakyReLU's slope below zero, as in appendix A.3 of OneFit
 ROOT = "m, relative to the root joint"
 # Parts of a network that need inputs of their own, in the order in which a graph has them.
 PAPER, SURROUNDINGS, DYNAMIC, AGREES, FEELS = PARTS = ("paper", "surroundings", "dynamic", "agrees", "feels")

@@ -19,7 +19,7 @@ from drape.graph.inputs import AGREES, BETA_COUNT, DYNAMIC, FEELS
 
 COLUMNS = 3 + jets.HEIGHT_COUNT  # rest place, basis
 LOWER_COLUMNS = 3 + jets.IN_PLANE_COUNT  # rest place, basis up to the second order
-CHARTS_PER_TILE = 32  # of a patch's last tile half is empty on average
+CHARTS_PER_TILE = 32  # half of a patch's last tile is empty on average
 VERTICES_PER_BLOCK = 64
 PART_SIZE = POSED_REGIONS * REGION_SIZE  # samples that are posed together
 
@@ -51,11 +51,13 @@ class PackedBodies(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class StoredCharts(Tensors):
-    """The tables by which stored patches are fitted to their blend and their strain is read, one row a patch.
+    """The tables by which stored patches are fitted to the blend at their 56 anchors, and by which their strain is
+    read.
 
-    ``columns`` and ``fit`` are of the 56 anchors, ``rest`` are the fitted numbers at rest. ``tangent`` has the seven
-    strain points' derivatives at rest, by u at x, y, z, then by v; ``unit`` the upper triangles of their 2 x 2 matrices
-    ``AgreementTensors.orthonormal``.
+    ``columns``: the anchor's blend weight in the patch times [its rest place in patch scales, the basis up to the
+    second order]. ``fit`` takes values at the anchors to 21 coefficients, 15 of the height's order and 6 of the
+    in-plane order; ``rest`` are the coefficients of x, y and z at rest. ``tangent``: derivatives at rest at seven
+    strain points, by u of x, y, z, then by v; ``unit``: entries 00, 01 and 11 of ``AgreementTensors.orthonormal``.
     """
 
     columns: Array = tensor("anchor_columns", "patches", LOWER_COLUMNS, MEMBERS)
@@ -79,7 +81,8 @@ class StoredProximity(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class StoredPatches(Tensors):
-    """The constants of stored patches; ``first`` is what a patch gives to the decoder's first layer."""
+    """The constants of stored patches: frames at rest, skinning weights, how their centres move with the body's shape,
+    and ``first``, the summand of the decoder's first layer that depends on the patch alone."""
 
     first: Array = tensor("patch_first", "patches", "width")
     weights: Array = tensor("patch_weights", "patches", JOINT_COUNT)

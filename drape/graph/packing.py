@@ -68,7 +68,7 @@ class PackedBody:
 
 def _repeated(array: np.ndarray, count: int) -> np.ndarray:
     """``array`` ``count`` times, without a copy."""
-    return array[None] if count == 1 else np.broadcast_to(array, (count, *array.shape))  # the latter takes 10 us
+    return array[None] if count == 1 else np.broadcast_to(array, (count, *array.shape))  # broadcasting takes 10 us
 
 
 def pack_body(body: BodyModel, betas: np.ndarray | None = None) -> PackedBody:
@@ -102,10 +102,6 @@ class PackedGarment:
     @property
     def tile_count(self) -> int:
         return len(self.tile_patch)
-
-    @property
-    def block_count(self) -> int:
-        return self.vertex_charts.shape[1]
 
     @property
     def bytes(self) -> int:
@@ -167,8 +163,8 @@ def _check_range(name: str, numbers: np.ndarray, what: str, count: int) -> None:
 def pack_garment(feed: dict[str, np.ndarray], patch_first: np.ndarray) -> PackedGarment:
     """Returns the garment with the ``garment_feed`` ``feed``, laid out for the packed graph.
 
-    ``patch_first`` (K, n) is what the model's encoder makes of its patches. Raises ``ArtifactError`` for another number
-    of rows, and for indices out of range.
+    ``patch_first`` (K, n) is the summand of the decoder's first layer that depends on the patch alone, from the model's
+    garment encoder. Raises ``ArtifactError`` for another number of rows, and for indices out of range.
     """
     count = len(feed["patch_scale"])
     if patch_first.ndim != 2 or len(patch_first) != count:
@@ -306,7 +302,8 @@ def compose_garments(items: Sequence[tuple[PackedGarment, Place, int]]) -> Compo
         anchor_block += garment.anchor_charts.shape[1]
         patches.append(slice(patch, patch + garment.patch_count))
         vertices.append(slice(VERTICES_PER_BLOCK * block, VERTICES_PER_BLOCK * block + garment.vertex_count))
-        patch, tile, block = patch + garment.patch_count, tile + garment.tile_count, block + garment.block_count
+        patch, tile = patch + garment.patch_count, tile + garment.tile_count
+        block += garment.vertex_charts.shape[1]
     indices = Indices(
         stored=np.concatenate(patch_stored),
         body=np.concatenate(patch_body),

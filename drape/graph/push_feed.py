@@ -19,7 +19,7 @@ from drape.graph.feeds import garment_feed
 from drape.graph.packing import tile_charts
 
 KEPT_SHAPES = 64
-RIDGE = 1e-3  # of the mean square of a patch's basis: few vertices do not determine a polynomial
+RIDGE = 1e-3  # share of the mean square of a patch's basis: few vertices do not determine a cubic
 
 
 def pack_push(
