@@ -31,11 +31,12 @@ Vector = Sequence[Array] | Array
 
 
 class Hinge(NamedTuple):
-    """The geometry of H hinges: two triangles at their common edge, in the unit of the corners [m].
+    """The geometry of H hinges, two triangles at a common edge from i to j with the third corners k and l, in the unit
+    of the corners [m].
 
-    ``cosine`` and ``sine`` (..., H) are of the dihedral angle. ``edge``, the two ``arms`` (a, b) and the two
-    ``normals`` (n1, n2), which are not of unit length, are vectors (3, ..., H) as in the equations above. ``length``
-    (..., H) is that of the edge, ``squares`` are n1 . n1 and n2 . n2, each (..., H).
+    ``cosine`` and ``sine`` (..., H) are of the dihedral angle. ``edge`` e, the two ``arms`` from i to k and l, and the
+    two ``normals`` n1 = e x a and n2 = b x e, which are not of unit length, are vectors (3, ..., H). ``length`` (...,
+    H) is that of the edge, ``squares`` are n1 . n1 and n2 . n2, each (..., H).
     """
 
     cosine: Array
@@ -67,9 +68,11 @@ def one_minus_cosine(hinges: Hinge, cosine: Array, sine: Array) -> Array:
 
 
 def bending_energy(corners: Corners, stiffness_j: Array, rest_rad: Array) -> Array:
-    """Returns the bending energy [J] (..., H) of the hinges at ``corners``, four arrays (3, ..., H) [m].
+    """Returns the bending energy k w (1 - cos(theta - theta0)) [J] (..., H) of the hinges at ``corners``, four arrays
+    (3, ..., H) [m].
 
-    ``stiffness_j`` [J] (H,) is k w of the equation above, ``rest_rad`` [rad] (H,) the angle at rest.
+    ``stiffness_j`` [J] (H,) is k w, the rigidity times the square of the edge over both areas at rest; ``rest_rad``
+    [rad] (H,) is the angle theta0 at rest.
     """
     xp = namespace(rest_rad)
     return stiffness_j * one_minus_cosine(hinge(corners), xp.cos(rest_rad), xp.sin(rest_rad))
@@ -99,8 +102,8 @@ def bending_hessian(corners: Corners, stiffness_j: Array, rest_rad: Array, *, de
 
 
 def bending_bilinear(corners: Corners, stiffness_j: Array, left: Array, right: Array) -> Array:
-    """Returns ``left``^T H ``right`` [N/m times the units of both] (H,) of every hinge, without storing H, the definite
-    Hessian of ``bending_hessian``. ``left`` and ``right`` (4, 3, H) are displacements of the corners."""
+    """Returns ``left``^T H ``right`` (H,) of every hinge, without storing H, the definite Hessian [N/m] of
+    ``bending_hessian``. ``left`` and ``right`` (4, 3, H) are displacements of the corners."""
     xp = namespace(stiffness_j)
     slope = angle_gradient(hinge(corners))
     return stiffness_j * xp.sum(slope * left, axis=(0, 1)) * xp.sum(slope * right, axis=(0, 1))

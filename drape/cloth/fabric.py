@@ -34,10 +34,11 @@ class Fabric:
     """The constants of a fabric. Raises ``InputError`` for numbers that no fabric has, or whose energy is not convex at
     rest.
 
-    ``warp_n_per_m`` .. ``shear_n_per_m`` [N/m] are those of the equation above. ``bending_*_j`` [J = N m] are plate
-    rigidities against bending along warp, bias (45 degrees) and weft. ``density_kg_m2`` is mass per area, ``friction``
-    the coefficient against skin, ``damping_s`` [s] the ratio of damping to stiffness, and ``source`` says where the
-    numbers come from.
+    ``warp_n_per_m``, ``weft_n_per_m``, ``cross_n_per_m`` and ``shear_n_per_m`` [N/m] are the stiffness of the membrane:
+    with Green's strain G the energy per area is (warp Gpp^2 + 2 cross Gpp Gtt + weft Gtt^2 + shear Gpt^2) / 2.
+    ``bending_*_j`` [J = N m] are plate rigidities against bending along warp, bias (45 degrees) and weft.
+    ``density_kg_m2`` is mass per area, ``friction`` the coefficient against skin, ``damping_s`` [s] the ratio of
+    damping to stiffness, and ``source`` says where the numbers come from.
     """
 
     name: str

@@ -66,6 +66,11 @@ class PushFeed(PushTables, Recorded):
         "push_slot_charts", CHARTS_PER_VERTEX, "groups", GROUP_SIZE * BLOCK_SIZE, dtype="int32", unit="column"
     )
 
+    @property
+    def patches(self) -> int:
+        """The number K of patches, which the engine reads too."""
+        return len(self.patch_fit)
+
 
 @dataclass(frozen=True, eq=False)
 class Pushed:

@@ -1,4 +1,4 @@
-"""The surroundings of a cloth for the judge's solvers: planes of the body, and two springs on every vertex."""
+"""What acts on a cloth from outside in these solvers: planes of the body, and two springs on every vertex."""
 
 from __future__ import annotations
 

@@ -104,7 +104,8 @@ def skinning_feed(garment: Garment, body: BodyModel) -> dict[str, np.ndarray]:
 
 
 def atlas_feed(atlas: Atlas, *, count: int | None = None, skin: Skin | None = None) -> dict[str, np.ndarray]:
-    """Returns the constant graph inputs of a garment's patches by name, except what the network makes of them.
+    """Returns the constant graph inputs of a garment's patches by name; its patches' codes, which the network computes,
+    are not among them.
 
     They are ``PatchTensors``, ``ChartTensors`` of the first ``count`` vertices (all by default), and
     ``AgreementTensors``, besides ``patch_slot`` (K, 56) of ``Consensus``. With the ``skin`` of the body that the

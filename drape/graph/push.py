@@ -65,7 +65,7 @@ def push_frames(
     """
     kind, (frames, count) = constants.feed.patch_fit.dtype, vertices.shape[:2]
     pushed, way = np.empty((frames, count, 3), kind), np.empty((frames, count), kind)
-    coefficients, left_m = np.empty((frames, len(constants.feed.patch_fit), 3, TERMS), kind), np.empty(frames, kind)
+    coefficients, left_m = np.empty((frames, constants.feed.patches, 3, TERMS), kind), np.empty(frames, kind)
     given, rounds = empty_points(count, kind), JET_ROUNDS if jets else 1
     for i in range(frames):
         given[:] = vertices[i]

@@ -193,8 +193,8 @@ def compute_frame(call: FoldCall, frame: Frame, effort: FoldEffort) -> tuple[np.
 
 
 def read_outcome(outcome: np.ndarray) -> tuple[int, bool, FoldReport]:
-    """Returns of a frame, from the ``outcome`` (OUTCOME,) int64 that the engine writes: the turn of the next frame,
-    whether its folds are lost because a vertex came too far away from the network's drape, and the report."""
+    """Reads the ``outcome`` (OUTCOME,) int64 that the engine writes for a frame. Returns the turn of the next frame;
+    whether the folds are lost, because a vertex came too far away from the network's drape; and the report."""
     settled, reset, lost, turn = outcome[:4].tolist()
     _, share, far_m = outcome[4:].view(np.float64).tolist()
     return turn, bool(lost), FoldReport(bool(settled), bool(reset), share, far_m)

@@ -1,4 +1,4 @@
-"""What is of one sheet: cloth that comes near to itself is kept apart, but not from the cloth beside it.
+"""Which vertices are of one sheet: cloth that comes near to itself is kept apart, but not from cloth of its own sheet.
 
 Two vertices are of one sheet where the way through the air is nearly as long as that along the cloth: such cloth is
 only pressed together. How cloth keeps apart is in ``source/room.hpp`` of the engine.

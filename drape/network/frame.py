@@ -260,9 +260,9 @@ def draw(
 
 
 def read_results(results: np.ndarray) -> tuple[list[float], list[list[int]], np.ndarray, np.ndarray]:
-    """Returns of F frames, from the ``results`` (F, L, TOLD) int64 that the engine writes for their L garments: the
-    novelty of each pose; the ticks of the processor's clock that each of ``PARTS`` took; the low corner [m] (F, 3) of
-    the coordinates, and the size [m] (F, 3) of their steps."""
+    """Reads the ``results`` (F, L, TOLD) int64 that the engine writes for the L garments of F frames. Returns by frame
+    the novelty of the pose; the ticks of the processor's clock that each of ``PARTS`` took; the low corner [m] (F, 3)
+    of the coordinates; and the size [m] (F, 3) of their steps."""
     first = results[:, 0]
     boxes = first[:, _BOX:-1].copy().view(_FLOAT)
     novelty, ticks = first.view(np.float64)[:, OUTCOME], first[:, OUTCOME + 1 : _BOX]
