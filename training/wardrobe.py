@@ -87,7 +87,9 @@ class Wardrobe:
         A ``turned`` garment may be cut with another grain, by chance.
         """
         if not self._fabrics:
-            return rest_state.modelled(rest.vertices, rest.faces), rest_state.grain_along(rest.vertices, rest.faces)
+            return rest_state.modelled_rest(rest.vertices, rest.faces), rest_state.grain_along(
+                rest.vertices, rest.faces
+            )
         if own is not None:
             return own, warp_directions(own, rest.vertices, rest.faces)
         warp = rest_state.grain_along(rest.vertices, rest.faces)
@@ -95,7 +97,7 @@ class Wardrobe:
             angle = rng.uniform(0.0, np.pi)
             across = np.cross(meshes.face_normals(rest.vertices, rest.faces), warp)
             warp = np.cos(angle) * warp + np.sin(angle) * across
-        return rest_state.flat(rest.vertices, rest.faces, warp), warp
+        return rest_state.flat_rest(rest.vertices, rest.faces, warp), warp
 
     def _training_garment(
         self, label: str, rest: RestGarment, seeds: list[int], made: tuple[RestState, np.ndarray]

@@ -12,7 +12,8 @@ import numpy as np
 from benchmarks.judge import physics, physics_cache
 from drape.engine.build import SOURCE
 from drape.exact import apart
-from drape.exact.newton import Band, Cloth, Found
+from drape.exact.newton import Band, Cloth
+from drape.exact.settling import State
 from drape.geometry import triangle_pairs
 
 STEPS = 120  # at most; they end a few hundredths of a joule above where they lead
@@ -35,7 +36,7 @@ def minimise_apart(
     Energies are of cloth and body, without the barrier. ``converged`` and ``residual_n`` count the barrier's force.
     """
 
-    def descend(cloth: Cloth, posed: np.ndarray, starts: list[np.ndarray], band: Band | None) -> Found:
+    def descend(cloth: Cloth, posed: np.ndarray, starts: list[np.ndarray], band: Band | None) -> State:
         one = apart.ApartDescent(cloth, task.contact, posed, starts[0], band=band)
         return one.run(step_limit, tolerance * cloth.weight_n)
 

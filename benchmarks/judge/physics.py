@@ -23,7 +23,8 @@ from drape.cloth.waistband import STIFFNESS_N_M2, band_energy, waistband
 from drape.errors import MeshError
 from drape.exact.blended_planes import blended_distance
 from drape.exact.linear import Charts
-from drape.exact.newton import TOLERANCE, Band, Cloth, Found, minimum
+from drape.exact.newton import TOLERANCE, Band, Cloth, minimum
+from drape.exact.settling import State
 from drape.garment.cache import Garment
 from drape.geometry import meshes
 
@@ -32,7 +33,7 @@ LEFT_LIMIT_J_M2 = 0.05  # skinning costs 1 to 5 J per m^2 of cloth
 
 
 PartsOf = Callable[..., dict[str, np.ndarray]]
-Descend = Callable[[Cloth, np.ndarray, list[np.ndarray], Band | None], Found]
+Descend = Callable[[Cloth, np.ndarray, list[np.ndarray], Band | None], State]
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +153,9 @@ def minimise(task: OptimumTask, *, step_limit: int = STEPS, tolerance: float = T
     """
     forces: list[np.ndarray] = []
 
-    def descend(cloth: Cloth, posed: np.ndarray, starts: list[np.ndarray], band: Band | None) -> Found:
+    def descend(cloth: Cloth, posed: np.ndarray, starts: list[np.ndarray], band: Band | None) -> State:
         end = minimum(cloth, task.contact, posed, starts, step_limit=step_limit, tolerance=tolerance, band=band)
-        forces.append(end.force)
+        forces.append(end.gradient)
         return end
 
     optimum = never_above(descend_from_starts(task, descend), task)
@@ -167,7 +168,7 @@ def descend_from_starts(task: OptimumTask, descend: Descend) -> Optimum:
     began = time.perf_counter()
     starts = [np.asarray(start, dtype=np.float64) for start in task.starts]
     cloth = Cloth.of(task.cloth, task.material, task.charts)
-    ends: list[Found] = []
+    ends: list[State] = []
     processor_s = []
     for frame, posed in enumerate(task.body_vertices):
         before_s = time.process_time()
@@ -180,7 +181,7 @@ def descend_from_starts(task: OptimumTask, descend: Descend) -> Optimum:
         start_j=np.stack([total_j(start, task) for start in starts]).min(axis=0),
         energy_j=total_j(vertices, task),
         nearest_j=total_j(vertices, task, metrics.static_parts),
-        residual_n=np.array([np.linalg.norm(end.force) for end in ends]),
+        residual_n=np.array([np.linalg.norm(end.gradient) for end in ends]),
         converged=np.array([end.at_rest for end in ends]),
         steps=np.array([end.steps for end in ends]),
         processor_s=np.array(processor_s),

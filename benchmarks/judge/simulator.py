@@ -111,7 +111,7 @@ def simulate(
                 n_per_m = inertia + spring
                 target = (inertia[:, None] * ahead + spring[:, None] * place) / n_per_m[:, None]
             drawn = Band(target, n_per_m)  # inertia and friction
-            step = Descent(moving, contact, skin.posed[i], now, band=bands[i], drawn=drawn)
+            step = Descent(moving, contact, skin.posed[i], now, band=bands[i], pull=drawn)
             step.settle(SETTLE)
             end = step.run(STEPS, limit_n)
             now, at_rest = end.x, end.at_rest

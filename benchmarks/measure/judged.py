@@ -31,7 +31,7 @@ from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.cloth.material import Material
-from drape.cloth.rest_state import modelled
+from drape.cloth.rest_state import modelled_rest
 from drape.exact.blended_planes import blended_distance
 from drape.garment.cache import Garment
 from drape.geometry.raster import ZBuffer, z_buffer
@@ -91,7 +91,7 @@ class JudgedCloth:
 
     @cached_property
     def _state(self):
-        return modelled(self.rest, self.faces) if self.fabric is None else self.garment.rest_state()
+        return modelled_rest(self.rest, self.faces) if self.fabric is None else self.garment.rest_state()
 
 
 @dataclass(frozen=True, eq=False)

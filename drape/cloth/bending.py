@@ -31,8 +31,13 @@ Vector = Sequence[Array] | Array
 
 
 class Hinge(NamedTuple):
-    """``cosine`` and ``sine`` (..., H) of the dihedral angle; ``edge``, ``arms`` (a, b) and ``normals`` (n1, n2), each
-    (3, ..., H); ``length`` of the edge and ``squares`` of the normals (..., H)."""
+    """The geometry of H hinges, two triangles at a common edge from i to j with the third corners k and l, in the unit
+    of the corners [m].
+
+    ``cosine`` and ``sine`` (..., H) are of the dihedral angle. ``edge`` e, the two ``arms`` from i to k and l, and the
+    two ``normals`` n1 = e x a and n2 = b x e, which are not of unit length, are vectors (3, ..., H). ``length`` (...,
+    H) is that of the edge, ``squares`` are n1 . n1 and n2 . n2, each (..., H).
+    """
 
     cosine: Array
     sine: Array
@@ -44,7 +49,9 @@ class Hinge(NamedTuple):
 
 
 def hinge(corners: Corners, collapsed: float = COLLAPSED) -> Hinge:
-    """The hinges at ``corners``; ``collapsed`` is added where a collapsed triangle would divide by zero."""
+    """Returns the geometry of the hinges at ``corners``, four arrays (3, ..., H) [m]: the ends of the edge, then the
+    third corners. ``collapsed`` is added to squares of lengths and of areas, so that a collapsed triangle does not
+    divide by zero."""
     xp = namespace(corners[0])
     e, a, b = (xp.unstack(corners[k] - corners[0], axis=0) for k in (1, 2, 3))
     n1, n2 = _cross(e, a), _cross(b, e)
@@ -55,26 +62,35 @@ def hinge(corners: Corners, collapsed: float = COLLAPSED) -> Hinge:
 
 
 def one_minus_cosine(hinges: Hinge, cosine: Array, sine: Array) -> Array:
-    """1 - cos(theta - theta0) (..., H), from cosine and sine of theta0."""
+    """Returns 1 - cos(theta - theta0) (..., H) of ``hinges`` with the dihedral angle theta; ``cosine`` and ``sine``
+    (H,) are those of the angle theta0 at rest."""
     return 1.0 - (hinges.cosine * cosine + hinges.sine * sine)
 
 
 def bending_energy(corners: Corners, stiffness_j: Array, rest_rad: Array) -> Array:
-    """Energy [J] (H,) of every hinge of ``stiffness_j`` k w (H,) with the angle ``rest_rad`` (H,) at rest."""
+    """Returns the bending energy k w (1 - cos(theta - theta0)) [J] (..., H) of the hinges at ``corners``, four arrays
+    (3, ..., H) [m].
+
+    ``stiffness_j`` [J] (H,) is k w, the rigidity times the square of the edge over both areas at rest; ``rest_rad``
+    [rad] (H,) is the angle theta0 at rest.
+    """
     xp = namespace(rest_rad)
     return stiffness_j * one_minus_cosine(hinge(corners), xp.cos(rest_rad), xp.sin(rest_rad))
 
 
 def bending_gradient(corners: Corners, stiffness_j: Array, rest_rad: Array) -> Array:
-    """Derivative [N] (4, 3, H) of the energy by the corners: minus the force."""
+    """Returns the gradient [N] (4, 3, H) of ``bending_energy`` by the four ``corners``. The forces on them are its
+    negative."""
     found = hinge(corners)
     return stiffness_j * _turn(found, rest_rad)[1] * angle_gradient(found)
 
 
 def bending_hessian(corners: Corners, stiffness_j: Array, rest_rad: Array, *, definite: bool) -> Array:
-    """Second derivative [N/m] (12, 12, H) of the energy.
+    """Returns the Hessian [N/m] (12, 12, H) of ``bending_energy`` by the coordinates of the four corners, corner by
+    corner.
 
-    ``definite`` takes every hinge as stiff as an unbent one, and leaves out the curvature of the angle.
+    ``definite``: returns a positive semidefinite one, which takes every hinge as stiff as an unbent one and leaves out
+    the curvature of the angle.
     """
     xp = namespace(stiffness_j)
     edge = hinge(corners)
@@ -86,14 +102,16 @@ def bending_hessian(corners: Corners, stiffness_j: Array, rest_rad: Array, *, de
 
 
 def bending_bilinear(corners: Corners, stiffness_j: Array, left: Array, right: Array) -> Array:
-    """Returns ``left``^T H ``right`` per hinge (H,) for directions (4, 3, H); H the definite Hessian, never stored."""
+    """Returns ``left``^T H ``right`` (H,) of every hinge, without storing H, the definite Hessian [N/m] of
+    ``bending_hessian``. ``left`` and ``right`` (4, 3, H) are displacements of the corners."""
     xp = namespace(stiffness_j)
     slope = angle_gradient(hinge(corners))
     return stiffness_j * xp.sum(slope * left, axis=(0, 1)) * xp.sum(slope * right, axis=(0, 1))
 
 
 def angle_gradient(hinges: Hinge) -> Array:
-    """Derivative [1/m] (4, 3, H) of the angle by the corners, sum over both sides of c_i n / n^2."""
+    """Returns the gradient [rad/m] (4, 3, H) of the dihedral angle by the corners: the sum over both triangles of c_i n
+    / n^2."""
     xp = namespace(hinges.length)
     factors = _factors(hinges)
     first, second = (
@@ -133,7 +151,7 @@ def _angle_hessian(hinges: Hinge) -> Array:
         arm, n = (xp.stack(list(vectors[side]), axis=0) for vectors in (hinges.arms, hinges.normals))
         q, c = hinges.squares[side] + COLLAPSED, _factors(hinges)[side]
         height = (arm - _dot(arm, u) * u) / length
-        # dc by corner (row) and by what moves (column)
+        # dc: the row is the corner whose c it is, the column the corner that moves
         slope = {
             (0, 0): height, (0, 1): u - height, (0, third): -u,
             (1, 0): -u - height, (1, 1): height, (1, third): u,

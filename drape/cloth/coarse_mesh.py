@@ -16,17 +16,17 @@ from drape.geometry import meshes
 from drape.geometry.closest import nearest_vertices
 
 EDGE_M = 0.026
-CREASE_RAD = 0.2  # of a hinge at rest
-# Share of its length by which an edge differs in two charts, and the most of the edges that seams of panels are.
+CREASE_RAD = 0.2  # a hinge with a larger angle at rest is a crease
+# An edge that differs in two charts by this share of its length is a seam; panels have no larger share of seams.
 APART, SEAMS_MOST = 1e-3, 0.1
-LONGEST = 1.7  # times the mean edge that is asked for
-LINES = 4  # edges of a vertex on lines that are remembered
+LONGEST = 1.7  # the longest edge, in mean edges that are asked for
+LINES = 4  # the most edges on lines (seams, creases, borders) that are kept of a vertex
 
 
 @dataclass(frozen=True, eq=False)
 class CoarseMesh:
-    """``vertex`` (n,): the fine vertices that are kept; ``faces`` (f, 3) of them by their number in ``vertex``; their
-    ``rest``."""
+    """A coarse mesh of n of a cloth's vertices: ``vertex`` (n,) are their indices in the fine mesh, ``faces`` (f, 3)
+    index ``vertex``, and ``rest`` is the rest state of ``faces``."""
 
     vertex: np.ndarray
     faces: np.ndarray
@@ -36,13 +36,13 @@ class CoarseMesh:
 def coarse_mesh(
     rest: RestState, vertices: np.ndarray, faces: np.ndarray, edge_m: float = EDGE_M, *, least: int = 0
 ) -> CoarseMesh:
-    """A mesh on some of ``vertices`` [m] (V, 3) for the cloth of ``faces`` (F, 3) with the state ``rest``.
+    """Returns a coarse mesh of the cloth with ``vertices`` [m] (V, 3), ``faces`` (F, 3) and the rest state ``rest``.
 
-    Its edges are ``edge_m`` [m] long in the mean, if seams and creases leave room for that, and it has ``least``
-    vertices or more, but a third of them at most.
+    The mean of its edges is about ``edge_m`` [m], where seams and creases leave room for that. It has ``least``
+    vertices or more, but at most a third of V.
     """
     count, hinges = len(vertices), meshes.hinges(faces)
-    wanted = rest.face_area.sum() / (0.5 * np.sqrt(3.0) * edge_m**2)  # two triangles a vertex
+    wanted = rest.face_area.sum() / (0.5 * np.sqrt(3.0) * edge_m**2)  # equilateral triangles, two for each vertex
     target = min(max(wanted, least), count / 3.0)
     edge_m = np.sqrt(rest.face_area.sum() / (0.5 * np.sqrt(3.0) * target))
     corner = np.zeros((len(faces), 3, 2))

@@ -45,9 +45,9 @@ class ContactPlanes:
 
 
 class BodyContact:
-    """The colliding surface of one body: faces, their table per vertex, and the vertices that take part.
+    """The surface of a body that cloth collides with: its triangles, and the vertices whose tangent planes count.
 
-    ``vertices`` (C,) limits the search to these body vertices, ``None`` takes all.
+    ``vertices`` (C,) are the indices of these; ``None`` takes all.
     """
 
     def __init__(self, faces: np.ndarray, vertex_count: int, *, vertices: np.ndarray | None = None) -> None:
@@ -58,21 +58,22 @@ class BodyContact:
 
     @classmethod
     def of_body(cls, body: BodyModel) -> BodyContact:
-        """Contact with ``body``, its head, hands and feet thinned."""
+        """Returns the surface of ``body`` with the vertices of ``collider_vertices``."""
         return cls(body.faces, body.vertex_count, vertices=collider_vertices(body))
 
     @cached_property
     def edges(self) -> np.ndarray:
-        """The edges (E, 2) of the faces between vertices that take part."""
+        """The edges (E, 2) of the surface, as vertex indices, whose two ends take part."""
         found = meshes.unique_edges(self.faces)
         return found if self.vertices is None else found[np.isin(found, self.vertices).all(axis=1)]
 
     def normals(self, body_vertices: Array) -> Array:
-        """Unit vertex normals (..., Vb, 3) of posed body vertices [m] (..., Vb, 3)."""
+        """Returns the unit vertex normals (..., Vb, 3), outward, of the posed ``body_vertices`` [m] (..., Vb, 3)."""
         return meshes.vertex_normals(body_vertices, self.faces, table=self._table)
 
     def planes(self, points: np.ndarray, body_vertices: np.ndarray, normals: np.ndarray | None = None) -> ContactPlanes:
-        """Planes under ``points`` [m] (B, V, 3) of the posed bodies ``body_vertices`` (B, Vb, 3)."""
+        """Returns for ``points`` [m] (B, V, 3) the tangent planes at the nearest vertices of the posed
+        ``body_vertices`` [m] (B, Vb, 3). ``normals`` (B, Vb, 3) are computed if left out."""
         if normals is None:
             normals = np.asarray(self.normals(body_vertices))
         index = nearest_body_vertices(points, body_vertices, vertices=self.vertices)
@@ -82,7 +83,11 @@ class BodyContact:
 def nearest_body_vertices(
     points: np.ndarray, body_vertices: np.ndarray, *, vertices: np.ndarray | None = None
 ) -> np.ndarray:
-    """Index (B, V) of the body vertex nearest to each of ``points`` (B, V, 3), among ``vertices`` (C,) or all."""
+    """Returns the indices (B, V) int64 of the body vertices nearest to ``points`` [m] (B, V, 3).
+
+    ``body_vertices`` are [m] (B, Vb, 3); ``vertices`` (C,) restricts the search to these. Raises ``InputError`` for
+    other shapes.
+    """
     check_shape("points", points, (None, None, 3), error=InputError)
     check_shape("body_vertices", body_vertices, (len(points), None, 3), error=InputError)
     nearest = np.empty(points.shape[:2], dtype=np.int64)
@@ -96,12 +101,15 @@ def nearest_body_vertices(
 
 
 def take_rows(rows: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Rows (B, V, 3) at ``index`` (B, V) of ``rows`` (B, Vb, 3)."""
+    """Returns the rows (B, V, 3) of ``rows`` (B, Vb, 3) at ``index`` (B, V), frame by frame."""
     return np.take_along_axis(rows, index[..., None], axis=-2)
 
 
 def plane_distance(positions: Array, point: Array, normal: Array) -> Array:
-    """Signed distances [m] (..., V) of ``positions`` from the planes through ``point`` with unit ``normal``."""
+    """Returns the signed distances [m] (..., V) of ``positions`` from planes, positive where the normals point.
+
+    ``positions``, ``point`` [m] and unit ``normal`` are (..., V, 3).
+    """
     xp = namespace(positions)
     return xp.sum((positions - point) * normal, axis=-1)
 
@@ -115,11 +123,12 @@ def nearest_vertex_push(
     colliders: np.ndarray | None = None,
     passes: int = 2,
 ) -> np.ndarray:
-    """Returns ``vertices`` [m] (B, V, 3) with those nearer than ``clearance_m`` moved along the nearest body vertex's
-    normal.
+    """Returns ``vertices`` [m] (B, V, 3) after the push: one nearer than ``clearance_m`` to the tangent plane of its
+    nearest body vertex is moved to this distance along that vertex's normal.
 
-    A second pass follows vertices whose nearest body vertex changed. Every number of quality stands beside this
-    baseline.
+    ``body_vertices`` and their unit ``body_normals`` are (B, Vb, 3), ``colliders`` (C,) the body vertices that count,
+    all if left out. The second of two ``passes`` follows vertices whose nearest body vertex changed. This is the
+    baseline beside every number of quality.
     """
     pushed = np.array(vertices, dtype=np.float64)
     for _ in range(passes):

@@ -16,7 +16,7 @@ from drape.arrays import Array, device, namespace
 from drape.cloth.bending import hinge, one_minus_cosine
 from drape.cloth.material import Material
 from drape.cloth.membrane import RestTriangles, membrane_energy, rest_triangles
-from drape.cloth.rest_state import RestState, modelled
+from drape.cloth.rest_state import RestState, modelled_rest
 from drape.geometry import meshes
 
 # Added to squared lengths in units of the mean edge: a collapsed triangle keeps a finite
@@ -26,14 +26,16 @@ DEGENERATE = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class ClothMesh:
-    """Constants of a rest mesh. Arrays are numpy's until ``like`` moves them.
+    """The constants of a cloth's energy with F triangles, V vertices and H hinges. Arrays are numpy's until ``like``
+    moves them.
 
-    ``face_index`` (3F,), ``hinge_index`` (4H,): vertices, all first corners before all second ones.
-    ``inverse_shape`` (4, F) [1/m]: entries 00, 10, 01, 11 of the inverse of the rest shape D (2 x 2: rows warp and
-    weft, columns the edges from the first corner). ``face_area`` (F,), ``vertex_area`` (V,) [m^2]. ``hinge_cosine``,
-    ``hinge_sine`` (H,) of the rest angle; ``hinge_weight`` (H,): l^2 / (A1 + A2) times the hinge's stiffening, zero
-    between needles; ``hinge_turn`` (H, 2): cos 2a and cos 4a, a the angle to the warp at which it bends.
-    ``mean_edge_m`` makes lengths dimensionless.
+    ``faces`` (F, 3), ``face_index`` (3F,) and ``hinge_index`` (4H,) are vertex indices; in the last two all first
+    corners come before all second ones. ``inverse_shape`` (4, F) [1/m]: entries 00, 10, 01, 11 of the inverse of the
+    rest shape D (2 x 2: rows warp and weft, columns the edges from the first corner). ``face_area`` (F,) and
+    ``vertex_area`` (V,) [m^2] are at rest. ``hinge_cosine``, ``hinge_sine`` (H,) are of the rest angle.
+    ``hinge_weight`` (H,): l^2 / (A1 + A2) times the hinge's stiffening, zero between needle triangles. ``hinge_turn``
+    (H, 2): cos 2a and cos 4a, a the angle between the warp and the direction in which the hinge bends. ``mean_edge_m``
+    [m] is the mean edge at rest.
     """
 
     faces: np.ndarray
@@ -50,12 +52,14 @@ class ClothMesh:
 
     @classmethod
     def from_rest(cls, vertices: np.ndarray, faces: np.ndarray) -> ClothMesh:
-        """The constants of the rest positions ``vertices`` [m] (V, 3), grain vertical (``rest_state.modelled``)."""
-        return cls.of(modelled(vertices, faces), faces, len(vertices))
+        """Returns the constants of a mesh that is at rest at ``vertices`` [m] (V, 3), its grain vertical
+        (``rest_state.modelled_rest``)."""
+        return cls.of(modelled_rest(vertices, faces), faces, len(vertices))
 
     @classmethod
     def of(cls, rest: RestState, faces: np.ndarray, vertex_count: int) -> ClothMesh:
-        """The constants of the rest state ``rest`` of ``faces`` (F, 3)."""
+        """Returns the constants of a mesh of ``faces`` (F, 3) on ``vertex_count`` vertices with the rest state
+        ``rest``."""
         faces = meshes.check_faces(faces, vertex_count)
         area, sides = rest.face_area, meshes.hinge_faces(faces)
         triangles = rest_triangles(rest.edges[:, 0].T, rest.edges[:, 1].T)
@@ -90,7 +94,8 @@ class ClothMesh:
         return self.vertex_area.shape[0]
 
     def like(self, positions: Array) -> ClothMesh:
-        """The same constants in the namespace, dtype and device of ``positions``; do this once, outside the loop."""
+        """Returns the same constants in the namespace, dtype and device of ``positions``. Do this once, outside the
+        loop."""
         xp = namespace(positions)
         moved = {}
         for item in fields(self):
@@ -135,11 +140,8 @@ def bending(positions: Array, mesh: ClothMesh, material: Material) -> Array:
 
 
 def gravity(positions: Array, mesh: ClothMesh, material: Material, *, height_m: float | Array = 0.0) -> Array:
-    """Returns the potential energy m g (y - height) [J] (...) of ``positions`` [m] (..., V, 3), summed over the
-    vertices.
-
-    ``height_m`` is a number or (..., 1).
-    """
+    """Returns the potential energy of weight, m g (y - height) [J] (...), of ``positions`` [m] (..., V, 3), summed over
+    the vertices. ``height_m`` [m], where it is zero, is a number or (..., 1)."""
     xp = namespace(positions)
     weight = material.gravity_m_s2 * mesh.vertex_mass(material)
     return xp.sum(weight * (positions[..., 1] - height_m), axis=-1)
@@ -155,12 +157,12 @@ def inertia(
     dt_s: float | Array,
     dt_before_s: float | Array | None = None,
 ) -> Array:
-    """Returns inertia's part of the incremental potential [J] (...): the sum over the vertices of m / (2 dt^2) |x - (x1
-    + dt v)|^2, v = (x1 - x2) / dt1.
+    """Returns the inertial energy [J] (...): the sum over the vertices of m / (2 dt^2) |x - (x1 + dt v)|^2, v = (x1 -
+    x2) / dt1.
 
-    ``positions`` x, ``before`` x1 and ``before_that`` x2 are [m] (..., V, 3). x1 is ``dt_s`` [s] ago, x2 another
-    ``dt_before_s`` (dt1; as long if left out), numbers or arrays (...). With equal steps it is SNUG's m / (2 dt^2) |x -
-    2 x1 + x2|^2.
+    ``positions`` x, ``before`` x1 and ``before_that`` x2 are [m] (..., V, 3). x1 is ``dt_s`` (dt) before x, and x2 is
+    ``dt_before_s`` (dt1) before x1, both [s] and numbers or arrays (...); dt1 is dt if left out. With equal steps it is
+    SNUG's m / (2 dt^2) |x - 2 x1 + x2|^2.
     """
     xp = namespace(positions)
     ratio = 1.0 if dt_before_s is None else dt_s / dt_before_s
@@ -173,7 +175,8 @@ def inertia(
 def contact(distance: Array, mesh: ClothMesh, material: Material) -> Array:
     """Returns the contact energy c A max(0, gap - d)^2 [J] (...), summed over the vertices.
 
-    ``distance`` d [m] (..., V) is signed, positive outside the body.
+    ``distance`` d [m] (..., V) from the body is positive outside; A is a vertex's area at rest, c and gap are
+    ``contact_j_m4`` and ``contact_gap_m`` of ``material``.
     """
     xp = namespace(distance)
     depth = xp.clip(material.contact_gap_m - distance, min=0.0)
@@ -181,7 +184,8 @@ def contact(distance: Array, mesh: ClothMesh, material: Material) -> Array:
 
 
 def contact_n_per_m(mesh: ClothMesh, material: Material) -> Array:
-    """Stiffness 2 c A [N/m] (V,) of a vertex's contact inside the gap: the second derivative of ``contact``."""
+    """Returns the contact stiffness 2 c A [N/m] (V,) of every vertex: the second derivative of ``contact`` inside the
+    gap."""
     return 2.0 * material.contact_j_m4 * mesh.vertex_area
 
 
@@ -194,8 +198,8 @@ def total(
     height_m: float | Array = 0.0,
 ) -> dict[str, Array]:
     """Returns the static energies [J] (...) of ``positions`` [m] (..., V, 3) by name: "membrane", "bending" and
-    "gravity", and "contact" where ``distance`` is given.
-    """
+    "gravity", and "contact" where ``distance`` [m] (..., V) from the body is given. Heights count from ``height_m``
+    [m], a number or (..., 1)."""
     planes = _planes(positions)
     parts = {
         "membrane": _membrane(planes, mesh, material),

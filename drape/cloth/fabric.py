@@ -31,12 +31,14 @@ POSITIVE = (
 
 @dataclass(frozen=True)
 class Fabric:
-    """Constants of a cloth, convex at rest or refused.
+    """The constants of a fabric. Raises ``InputError`` for numbers that no fabric has, or whose energy is not convex at
+    rest.
 
-    ``warp_n_per_m`` .. ``shear_n_per_m`` [N/m] as in the module's equation, ``bending_*_j`` plate rigidity
-    [J = N m] against bending along warp, bias (45 degrees) and weft, ``density_kg_m2`` mass per area,
-    ``thickness_m``, ``friction`` against skin, ``damping_s`` time [s] by which damping is proportional to
-    stiffness, ``source`` where the numbers come from.
+    ``warp_n_per_m``, ``weft_n_per_m``, ``cross_n_per_m`` and ``shear_n_per_m`` [N/m] are the stiffness of the membrane:
+    with Green's strain G the energy per area is (warp Gpp^2 + 2 cross Gpp Gtt + weft Gtt^2 + shear Gpt^2) / 2.
+    ``bending_*_j`` [J = N m] are plate rigidities against bending along warp, bias (45 degrees) and weft.
+    ``density_kg_m2`` is mass per area, ``friction`` the coefficient against skin, ``damping_s`` [s] the ratio of
+    damping to stiffness, and ``source`` says where the numbers come from.
     """
 
     name: str
@@ -82,77 +84,58 @@ class Fabric:
 
     @cached_property
     def digest(self) -> str:
-        """Sixteen hex digits of everything that a drape can depend on: its numbers, not its name or source."""
+        """Sixteen hex digits, a hash of all that a drape can depend on: the numbers, neither name nor source."""
         numbers = {key: value for key, value in asdict(self).items() if key not in ("name", "source")}
         return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:16]
 
     def softened(self, most_n_per_m: float) -> Fabric:
-        """The same cloth with warp and weft of at most ``most_n_per_m`` [N/m], cross in proportion; shear stays.
+        """Returns the fabric with warp and weft of at most ``most_n_per_m`` [N/m] and cross in proportion; shear stays.
 
-        Triangles that lie across the yarns cannot bend without stretching them, so on a mesh an inextensible cloth
-        is stiffer than its rigidity (locking), the more the lighter it is. A membrane that its loads still do not
-        stretch visibly has less of that.
+        Triangles that lie across the yarns cannot bend without stretching them, so on a mesh an inextensible cloth is
+        stiffer than its rigidity (locking), the more the lighter it is. A membrane that its loads still do not stretch
+        visibly has less of that.
         """
         warp, weft = min(self.warp_n_per_m, most_n_per_m), min(self.weft_n_per_m, most_n_per_m)
         share = float(np.sqrt(warp * weft / (self.warp_n_per_m * self.weft_n_per_m)))
         return replace(self, warp_n_per_m=warp, weft_n_per_m=weft, cross_n_per_m=share * self.cross_n_per_m)
 
 
-def tensile_modulus(fabric: Fabric, angle_rad: float) -> float:
-    """E [N/m] of a strip cut at ``angle_rad`` to the warp and free to narrow: force per width E l (l^2 - 1) / 2.
-
-    l is the stretch. Exact at any stretch, because the second Piola-Kirchhoff stress of the strip is uniaxial
-    and linear in Green's strain.
-    """
-    stiffness = np.array(
-        [
-            [fabric.warp_n_per_m, fabric.cross_n_per_m, 0.0],
-            [fabric.cross_n_per_m, fabric.weft_n_per_m, 0.0],
-            [0.0, 0.0, 0.25 * fabric.shear_n_per_m],
-        ]
-    )
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    stress = np.array([c * c, s * s, c * s])
-    return float(1.0 / (stress @ np.linalg.solve(stiffness, stress)))
-
-
-# --- bending ---------------------------------------------------------------------------------------------------------
-
-
 def bending_angle(edge: Array) -> Array:
-    """Angle [rad] (H,) to the warp of the direction in which hinges bend, from rest edges (H, 2) on the panel.
+    """Returns the angle [rad] (H,) between the warp and the direction in which hinges bend, for rest edges ``edge`` (H,
+    2) in the panel's axes (weft, warp).
 
-    A hinge bends across its edge: an edge along the weft (x) lets the cloth bend along the warp (y). The edge's
-    angle to the weft is therefore the direction's to the warp.
+    A hinge bends across its edge: an edge along the weft (x) lets the cloth bend along the warp (y). The edge's angle
+    to the weft is therefore the direction's to the warp.
     """
     xp = namespace(edge)
     return xp.atan2(edge[..., 1], edge[..., 0])
 
 
 def plate_rigidity(fabric: Fabric, angle_rad: Array) -> Array:
-    """B [J] against bending on a cylinder along ``angle_rad`` to the warp.
+    """Returns the rigidity B [J] against bending along directions at ``angle_rad`` [rad] to the warp, with the shape of
+    ``angle_rad``.
 
-    B = a0 + a2 cos 2a + a4 cos 4a through the three given directions: that of every orthotropic plate, whose
-    D11 cos^4 + 2 (D12 + 2 D66) cos^2 sin^2 + D22 sin^4 it equals.
+    B = a0 + a2 cos 2a + a4 cos 4a through the three given directions: that of every orthotropic plate, whose D11 cos^4
+    + 2 (D12 + 2 D66) cos^2 sin^2 + D22 sin^4 it equals.
     """
     return _rigidity(_plate_harmonics(fabric), angle_rad)
 
 
 def hinge_harmonics(fabric: Fabric) -> tuple[float, float, float]:
-    """(b, b2, b4) [J] of the rigidity b + b2 cos 2a + b4 cos 4a of hinges that bend at the angle a to the warp.
+    """Returns (b, b2, b4) [J]: a hinge that bends at the angle a to the warp has the rigidity b + b2 cos 2a + b4 cos
+    4a.
 
-    On a cylinder along d a mesh of equilateral triangles bends each hinge by an angle proportional to
-    2 cos 2(a - d) + 1, so that the plate feels the hinges around d with the square of that as weight: its
-    harmonics of order 2 and 4 arrive as 2/3 and 1/3. Hinges therefore get 3/2 and 3 times the plate's.
+    On a cylinder along d a mesh of equilateral triangles bends each hinge by an angle proportional to 2 cos 2(a - d) +
+    1, so that the plate feels the hinges around d with the square of that as weight: its harmonics of order 2 and 4
+    arrive as 2/3 and 1/3. Hinges therefore get 3/2 and 3 times the plate's.
     """
     mean, second, fourth = _plate_harmonics(fabric)
     return mean, 1.5 * second, 3.0 * fourth
 
 
 def hinge_rigidity(fabric: Fabric, angle_rad: Array) -> Array:
-    """Returns the rigidity [J] (H,) of hinges that bend in directions at ``angle_rad`` (H,) to the warp, for
-    ``drape.cloth.bending``.
-    """
+    """Returns the rigidity k [J] (H,) in ``drape.cloth.bending`` of hinges that bend at ``angle_rad`` [rad] (H,) to the
+    warp."""
     return _rigidity(hinge_harmonics(fabric), angle_rad)
 
 

@@ -28,10 +28,10 @@ CROSS_SHARE, BIAS_SHARE = 0.1, 0.8
 
 @dataclass(frozen=True)
 class KesReadings:
-    """KES-FB1 to FB4, pairs are (warp, weft).
+    """One fabric's readings by the instruments KES-FB1 to FB4; pairs are (warp, weft).
 
-    ``extension_pct`` EMT [%] at 500 gf/cm, ``linearity`` LT, ``bending`` B [gf cm^2/cm], ``hysteresis`` 2HB
-    [gf cm/cm], ``shear`` G [gf/(cm deg)], ``weight`` W [mg/cm^2], ``thickness_mm`` T0 at 0.5 gf/cm^2.
+    ``extension_pct`` EMT [%] at 500 gf/cm, ``linearity`` LT, ``bending`` B [gf cm^2/cm], ``hysteresis`` 2HB [gf cm/cm],
+    ``shear`` G [gf/(cm deg)], ``weight`` W [mg/cm^2], ``thickness_mm`` T0 at 0.5 gf/cm^2.
     """
 
     extension_pct: tuple[float, float]
@@ -45,10 +45,10 @@ class KesReadings:
 
 @dataclass(frozen=True)
 class FastReadings:
-    """FAST-1 to FAST-3, pairs are (warp, weft).
+    """One fabric's readings by the instruments FAST-1 to FAST-3; pairs are (warp, weft).
 
-    ``extension_pct`` E20 [%] at 20 gf/cm, ``bias_extension_pct`` EB5 [%] at 5 gf/cm, ``bending_length_mm`` c of
-    FAST-2 [mm], ``weight`` W [g/m^2], ``thickness_mm`` T2 at 2 gf/cm^2.
+    ``extension_pct`` E20 [%] at 20 gf/cm, ``bias_extension_pct`` EB5 [%] at 5 gf/cm, ``bending_length_mm`` c of FAST-2
+    [mm], ``weight`` W [g/m^2], ``thickness_mm`` T2 at 2 gf/cm^2.
     """
 
     extension_pct: tuple[float, float]
@@ -59,11 +59,11 @@ class FastReadings:
 
 
 def from_kes(name: str, readings: KesReadings, *, source: str = "KES readings") -> Fabric:
-    """The fabric of ``readings``.
+    """Returns the fabric called ``name`` that has these ``readings``. Raises ``InputError`` for a reading out of range.
 
-    Stretch: EMT and LT fix the curve F = A e^n, n = 2 / LT - 1, which is read off at 20 gf/cm. Shear: k = 4 G.
-    Bending: the secant of the loop's rising branch, B + HB / curvature, at the curvature of a drape, since an
-    elastic cloth has no friction that would carry HB.
+    Stretch: EMT and LT fix the curve F = A e^n, n = 2 / LT - 1, which is read off at 20 gf/cm. Shear: k = 4 G. Bending:
+    the secant of the loop's rising branch, B + HB / curvature, at the curvature of a drape, since an elastic cloth has
+    no friction that would carry HB.
     """
     _check(name, readings)
     stretch = [
@@ -79,10 +79,10 @@ def from_kes(name: str, readings: KesReadings, *, source: str = "KES readings") 
 
 
 def from_fast(name: str, readings: FastReadings, *, source: str = "FAST readings") -> Fabric:
-    """The fabric of ``readings``.
+    """Returns the fabric called ``name`` that has these ``readings``. Raises ``InputError`` for a reading out of range.
 
-    Stretch: the extension at 20 gf/cm. Shear: FAST's own G = 123 / EB5 [N/m], k = 4 G.
-    Bending: FAST's own B = w c^3.
+    Stretch: the extension at 20 gf/cm. Shear: FAST's own G = 123 / EB5 [N/m], k = 4 G. Bending: FAST's own B = w
+    c^3.
     """
     _check(name, readings)
     stretch = [_stiffness(e) for e in np.array(readings.extension_pct) / 100.0]

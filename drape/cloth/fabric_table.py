@@ -26,7 +26,7 @@ from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_readings import FastReadings, KesReadings, from_fast, from_kes
 from drape.errors import InputError, NotFound, did_you_mean
 
-STRETCH_SHARE = 0.25  # of the way from rest to a stretch of 1/6
+STRETCH_SHARE = 0.25  # how far from the fit at rest to that at a stretch of 1/6
 
 # name: their cloth, kg/m2, stretch at rest (c11, c12, c22) and mean at 1/6, shear at rest [N/m],
 # k_e of edges at 0, 45, 90 degrees [1e-6 J], our estimates of thickness [mm] and friction
@@ -113,8 +113,11 @@ ALIASES = {"soft": "jersey", "limp": "chiffon", "stiff": "denim", "crisp": "popl
 
 
 def fabric(which: str | Mapping[str, float] | Fabric) -> Fabric:
-    """Returns a fabric: the one called ``which``, one of the numbers in a mapping with the fields of ``Fabric``, or
-    ``which`` itself if it is a fabric."""
+    """Returns the fabric called ``which``, the fabric with the numbers in the mapping ``which`` (fields of ``Fabric``),
+    or ``which`` itself if it is a fabric.
+
+    Raises ``NotFound`` for an unknown name and ``InputError`` for missing, unknown or unphysical numbers.
+    """
     if isinstance(which, Fabric):
         return which
     if isinstance(which, str):

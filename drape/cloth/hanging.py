@@ -11,20 +11,20 @@ import numpy as np
 import scipy.sparse
 from scipy.spatial import KDTree
 
-from drape.cloth.relaxation import Relaxation, moved, shape_gradients
+from drape.cloth.relaxation import Relaxation, move_towards, shape_gradients
 from drape.geometry import meshes
 from drape.geometry.symmetric import symmetric_factor
 
 DENSITY_KG_M2, STIFFNESS_N_PER_M, GRAVITY_M_S2 = 0.2, 200.0, 9.81
 STEP_S = 0.04  # a free vertex sinks by 16 mm
-GAP_M, NEAR_M = 0.008, 0.012  # what cloth keeps from the skin, and below which it is held
-REACH_M = 0.08  # farther from a vertex of the skin its plane says nothing
+GAP_M, NEAR_M = 0.008, 0.012  # the distance that cloth keeps from the skin, and that below which it is held
+REACH_M = 0.08  # the plane of a vertex counts up to this distance from it
 FIRM, LOOSE = 4.0, 0.5  # weights of contact where the skin holds cloth, and where it lets it slide
-RENEWED = 5  # steps that one factor serves
+RENEWED = 5  # one factor serves so many steps
 
 
 class HoldingSkin:
-    """A posed body that cloth hangs on: its vertices [m] and faces as planes, and how ``firm`` (Vb,) in [0, 1] each
+    """A posed body that cloth hangs on: ``vertices`` [m] (Vb, 3), ``faces``, and how ``firm`` (Vb,) in [0, 1] each
     vertex holds cloth."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, firm: np.ndarray) -> None:
@@ -32,16 +32,16 @@ class HoldingSkin:
         self._normals, self._tree = meshes.vertex_normals(vertices, faces), KDTree(vertices)
 
     def contact(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Returns for points ``x`` [m] (V, 3) the signed distances [m] (V,) from the body, its outward unit normals (V,
-        3) there, and the weights (V,) of contact.
-        """
+        """Returns for points ``x`` [m] (V, 3) their signed distances [m] (V,) from the body, positive outside, its
+        outward unit normals (V, 3) there, and the weights (V,) of contact, ``LOOSE`` to ``FIRM``."""
         far, near = self._tree.query(x)
         along = np.einsum("vc,vc->v", x - self._vertices[near], self._normals[near])
         return np.where(far < REACH_M, along, far), self._normals[near], self._weight[near]
 
 
 class HangingCloth(Relaxation):
-    """Cloth of ``faces`` (F, 3) that has its lengths at ``vertices`` [m] (V, 3)."""
+    """A cloth of ``faces`` (F, 3) whose triangles are at rest with the edge lengths that they have at ``vertices`` [m]
+    (V, 3)."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         first, second = meshes.corner_edges(vertices, faces)
@@ -55,10 +55,9 @@ class HangingCloth(Relaxation):
         super().__init__(faces, rest, lambda x: (np.ones(len(x)), x), gap_m=GAP_M, inertia=softness / STEP_S**2)
         self._sag = GRAVITY_M_S2 * softness
 
-    def hung(self, x: np.ndarray, skin: HoldingSkin, steps: int) -> np.ndarray:
-        """Returns the vertices [m] (V, 3) of the cloth after ``steps`` steps over ``skin`` from ``x`` [m] (V, 3). None
-        of them is inside the skin.
-        """
+    def hang(self, x: np.ndarray, skin: HoldingSkin, steps: int) -> np.ndarray:
+        """Returns the vertices [m] (V, 3) of the cloth after ``steps`` steps over ``skin`` from ``x`` [m] (V, 3). No
+        vertex is inside the skin."""
         for number in range(steps):
             distance, out, weight = skin.contact(x)
             if number % RENEWED == 0:
@@ -68,6 +67,6 @@ class HangingCloth(Relaxation):
             goal = x + np.clip(GAP_M - distance, 0.0, GAP_M)[:, None] * out
             right = self._inward(x) + held[:, None] * goal
             right[:, 1] -= self._sag
-            x = moved(x, factor.solve(right))
+            x = move_towards(x, factor.solve(right))
         distance, out, _ = skin.contact(x)
         return x + np.maximum(-distance, 0.0)[:, None] * out

@@ -17,8 +17,9 @@ SIGNED = ("cross_n_per_m", "bending_2_j", "bending_4_j")
 
 @dataclass(frozen=True)
 class OrthotropicMaterial:
-    """Constants of a cloth on its panels, whose x is the weft and y the warp: stiffness ``h00`` .. ``h22`` [N/m], plate
-    rigidity ``bending_j`` [J], ``density_kg_m2``.
+    """The constants of a cloth in panel axes, x along the weft and y along the warp: stiffness ``h00`` .. ``h22``
+    [N/m], plate rigidity ``bending_j`` [J], and mass per area. Raises ``InputError`` where some strain would meet no
+    resistance.
 
     The stress is s00 = h00 e00 + h01 e11, s11 = h01 e00 + h11 e11, s01 = h22 e01 with Green's strain e. An isotropic
     cloth has h00 = h11 = lambda + 2 mu, h01 = lambda, h22 = 2 mu.
@@ -44,19 +45,20 @@ class OrthotropicMaterial:
 
     @property
     def stretch_n_per_m(self) -> np.ndarray:
-        """The stiffness (H00, H01, H11, H22) [N/m]."""
+        """The stiffness (h00, h01, h11, h22) [N/m] (4,)."""
         return np.array([self.h00, self.h01, self.h11, self.h22])
 
 
 @dataclass(frozen=True)
 class Material:
-    """Constants of a cloth and of its contact with the body; numbers, or arrays (..., 1) of as many cloths.
+    """The constants of a cloth and of its contact with the body; numbers, or arrays (..., 1) with a number for each
+    cloth.
 
     ``warp_n_per_m`` .. ``shear_n_per_m``: the orthotropic St.Venant-Kirchhoff membrane of ``Fabric`` [N/m].
-    ``bending_j``, ``bending_2_j``, ``bending_4_j`` [J = N m]: rigidity of the hinges that bend at the angle a to the
-    warp, b + b2 cos 2a + b4 cos 4a (``fabric.hinge_harmonics``). ``density_kg_m2``: mass per area. ``contact_j_m4``:
-    contact energy per area and squared depth [J/m^4], ``contact_gap_m``: distance from the skin at which it begins [m].
-    ``gravity_m_s2``: along -y.
+    ``bending_j``, ``bending_2_j``, ``bending_4_j`` [J = N m]: b, b2 and b4 of the rigidity b + b2 cos 2a + b4 cos 4a of
+    hinges that bend at the angle a to the warp (``fabric.hinge_harmonics``). ``density_kg_m2``: mass per area.
+    ``contact_j_m4``: contact energy per area and squared depth [J/m^4], ``contact_gap_m``: distance from the skin at
+    which it begins [m]. ``gravity_m_s2``: along -y. Raises ``InputError`` for numbers that are not physical.
 
     The default is isotropic, with the Lame constants 11.1 and 20.9 N/m of SNUG (Santesteban et al. 2022, times 0.47 mm)
     and its 0.2 kg/m^2: the cloth that every figure before real fabrics was measured with.
@@ -77,7 +79,7 @@ class Material:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if not isinstance(value, float | int):
-                continue  # made of fabrics that were looked at one by one
+                continue  # an array: each of its fabrics was checked before
             good = value > 0.0 if name in POSITIVE else name in SIGNED or value >= 0.0
             if not (good and np.isfinite(value)):
                 wanted = "a number > 0" if name in POSITIVE else "a finite number, >= 0 where it has no sign"
@@ -85,7 +87,7 @@ class Material:
 
     @classmethod
     def of(cls, fabric: Fabric) -> Material:
-        """The constants of ``fabric``."""
+        """Returns the constants of a cloth made of ``fabric``, its contact and gravity the default ones."""
         membrane = (fabric.warp_n_per_m, fabric.weft_n_per_m, fabric.cross_n_per_m, fabric.shear_n_per_m)
         return cls(*membrane, *hinge_harmonics(fabric), fabric.density_kg_m2)
 
@@ -100,14 +102,14 @@ class Material:
         return self.bending_j, self.bending_2_j, self.bending_4_j
 
     def scaled(self, stiffness: float) -> Material:
-        """The same cloth with membrane and bending stiffness times ``stiffness``."""
+        """Returns the material with membrane and bending stiffness times ``stiffness``."""
         stiff = (*self.membrane, *self.bending)
         names = [field.name for field in fields(self)][: len(stiff)]
         return replace(self, **{name: stiffness * value for name, value in zip(names, stiff, strict=True)})
 
     @property
     def woven(self) -> OrthotropicMaterial:
-        """The constants for ``recovery.sim``, which has one rigidity and x along the weft, y along the warp."""
+        """The same cloth in panel axes, as ``recovery.sim`` takes it; its one rigidity is ``bending_j``."""
         half = 0.5 * self.shear_n_per_m
         return OrthotropicMaterial(
             self.weft_n_per_m, self.cross_n_per_m, self.warp_n_per_m, half, self.bending_j, self.density_kg_m2
@@ -131,12 +133,12 @@ MEASURED = {
 
 
 def material(name: str = DEFAULT_MATERIAL) -> Material:
-    """The one of ``FABRICS`` or of ``MEASURED`` called ``name``.
+    """Returns the material called ``name``, of ``FABRICS`` or ``MEASURED``. Raises ``NotFound`` for other names.
 
-    "jersey" has the membrane constants 11.1 and 20.9 N/m of SNUG (Santesteban et
-    al. 2022, Lame constants times 0.47 mm) and its 0.2 kg/m^2; "soft" and "stiff"
-    are it with a third and three times the stiffness, "limp" and "crisp" with a fifth
-    and five times that of bending alone. None of the five is a measured fabric; those of ``MEASURED`` are.
+    "jersey" has the membrane constants 11.1 and 20.9 N/m of SNUG (Santesteban et al. 2022, Lame constants times 0.47
+    mm) and its 0.2 kg/m^2; "soft" and "stiff" are it with a third and three times the stiffness, "limp" and "crisp"
+    with a fifth and five times that of bending alone. None of the five is a measured fabric; those of ``MEASURED``
+    are.
     """
     known = {**FABRICS, **MEASURED}
     if name not in known:

@@ -30,16 +30,21 @@ Symmetric = tuple[Array, Array, Array]  # pp, tt, pt
 
 
 class RestTriangles(NamedTuple):
-    """``inverse`` (4, F) [1/m]: entries 00, 10, 01, 11 of D^-1; ``area`` (F,) [m^2]."""
+    """The constants of F triangles: entries 00, 10, 01, 11 of the ``inverse`` (4, F) [1/m] of D, and the ``area`` (F,)
+    [m^2].
+
+    D (2 x 2) has the edges [m] from the first corner at rest as columns, in the two axes of the cloth.
+    """
 
     inverse: Array
     area: Array
 
 
 def rest_triangles(first: Array, second: Array) -> RestTriangles:
-    """The constants of triangles with the rest edges (2, F) [m] to their second and third corner.
+    """Returns the constants of triangles whose edges from the first corner are ``first`` and ``second`` (2, F) [m] at
+    rest.
 
-    A mirrored triangle counts with its positive area.
+    A mirrored triangle has a positive area too.
     """
     double = first[0] * second[1] - first[1] * second[0]
     inverse = namespace(first).stack([second[1], -first[1], -second[0], first[0]], axis=0) / double
@@ -47,32 +52,35 @@ def rest_triangles(first: Array, second: Array) -> RestTriangles:
 
 
 def deformation_columns(corners: Corners, inverse: Array) -> tuple[Array, Array]:
-    """The columns p and t (3, ..., F) of the deformation gradient; linear in ``corners``."""
+    """Returns the columns p and t (3, ..., F) of the deformation gradient at ``corners``, three arrays (3, ..., F) [m].
+    ``inverse`` (4, F) [1/m] is that of ``RestTriangles``. They are linear in ``corners``."""
     first, second = corners[1] - corners[0], corners[2] - corners[0]
     a, b, c, d = namespace(inverse).unstack(inverse, axis=0)
     return a * first + b * second, c * first + d * second
 
 
 def green_strain(p: Array, t: Array) -> Symmetric:
-    """Green's strain (Epp, Ett, Ept), each (..., F)."""
+    """Returns Green's strain (Epp, Ett, Ept), each (..., F), of the columns (3, ..., F) of the deformation gradient."""
     return 0.5 * (_dot(p, p) - 1.0), 0.5 * (_dot(t, t) - 1.0), 0.5 * _dot(p, t)
 
 
 def stress(strain: Sequence[Array], stiffness: Stiffness) -> Symmetric:
-    """The second Piola-Kirchhoff stress (Spp, Stt, Spt) [N/m] of ``strain``."""
+    """Returns the second Piola-Kirchhoff stress (Spp, Stt, Spt) [N/m] of Green's ``strain`` (Epp, Ett, Ept), each with
+    the shape of its strain. ``stiffness`` is (k_p, k_t, k_c, k_s) [N/m]."""
     warp, weft, cross, shear = (stiffness[i] for i in range(4))
     pp, tt, pt = strain
     return warp * pp + cross * tt, cross * pp + weft * tt, 0.5 * shear * pt
 
 
 def membrane_energy(corners: Corners, rest: RestTriangles, stiffness: Stiffness) -> Array:
-    """Energy [J] (..., F) of every triangle."""
+    """Returns the membrane energy [J] (..., F) of every triangle at ``corners``, three arrays (3, ..., F) [m]."""
     strain = green_strain(*deformation_columns(corners, rest.inverse))
     return (0.5 * rest.area) * _double_dot(stress(strain, stiffness), strain)
 
 
 def membrane_gradient(corners: Corners, rest: RestTriangles, stiffness: Stiffness) -> Array:
-    """Derivative [N] (3, 3, F) of the energy by the corners: minus the force."""
+    """Returns the gradient [N] (3, 3, F) of ``membrane_energy`` by the three ``corners``. The forces on them are its
+    negative."""
     p, t = deformation_columns(corners, rest.inverse)
     pp, tt, pt = stress(green_strain(p, t), stiffness)
     by_p, by_t = rest.area * (pp * p + pt * t), rest.area * (pt * p + tt * t)
@@ -81,7 +89,11 @@ def membrane_gradient(corners: Corners, rest: RestTriangles, stiffness: Stiffnes
 
 
 def membrane_hessian(corners: Corners, rest: RestTriangles, stiffness: Stiffness, *, definite: bool) -> Array:
-    """Second derivative [N/m] (9, 9, F) of the energy; ``definite`` keeps of the stress only ``tension``."""
+    """Returns the Hessian [N/m] (9, 9, F) of ``membrane_energy`` by the coordinates of the three corners, corner by
+    corner.
+
+    ``definite``: returns a positive semidefinite one, in which ``tension`` stands in place of the stress.
+    """
     xp = namespace(rest.area)
     p, t = deformation_columns(corners, rest.inverse)
     along, across = _slopes(rest.inverse)
@@ -99,9 +111,8 @@ def membrane_hessian(corners: Corners, rest: RestTriangles, stiffness: Stiffness
 def membrane_bilinear(
     corners: Corners, rest: RestTriangles, stiffness: Stiffness, left: Corners, right: Corners
 ) -> Array:
-    """Returns ``left``^T H ``right`` per triangle (F,), directions like ``corners``; H the definite Hessian, never
-    stored.
-    """
+    """Returns ``left``^T H ``right`` (F,) of every triangle, without storing H, the definite Hessian [N/m] of
+    ``membrane_hessian``. ``left`` and ``right`` are displacements of the corners, three arrays (3, F) each."""
     p, t = deformation_columns(corners, rest.inverse)
     (lp, lt), (rp, rt) = deformation_columns(left, rest.inverse), deformation_columns(right, rest.inverse)
     by_left, by_right = (
@@ -113,7 +124,8 @@ def membrane_bilinear(
 
 
 def tension(stresses: Sequence[Array], floor: Array | float) -> Symmetric:
-    """The stress with each principal value s replaced by (s + sqrt(s^2 + floor^2)) / 2 > 0.
+    """Returns the stress (pp, tt, pt) with each principal value s replaced by (s + sqrt(s^2 + floor^2)) / 2 > 0, in the
+    unit and shape of ``stresses``.
 
     Written in the squared radius of Mohr's circle, so that it is smooth where principal values meet.
     """

@@ -20,16 +20,14 @@ from drape.geometry import closest, meshes
 
 def edge_strain_pct(vertices: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Returns the mean [%] (B,) of |l - l0| / l0 over the edges of ``vertices`` [m] (B, V, 3), l0 the length in the
-    mesh ``rest`` [m] (V, 3).
-    """
+    mesh ``rest`` [m] (V, 3). Raises ``MeshError`` where an l0 is zero."""
     edges = meshes.unique_edges(faces)
     return _strain_pct(meshes.edge_lengths(vertices, edges), meshes.edge_lengths(rest, edges), "edge")
 
 
 def area_strain_pct(vertices: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Returns the mean [%] (B,) of |A - A0| / A0 over the faces of ``vertices`` [m] (B, V, 3), A0 the area in the mesh
-    ``rest`` [m] (V, 3).
-    """
+    ``rest`` [m] (V, 3). Raises ``MeshError`` where an A0 is zero."""
     return _strain_pct(meshes.face_areas(vertices, faces), meshes.face_areas(rest, faces), "face")
 
 
@@ -53,21 +51,9 @@ def colliding_triangle_pct(vertices: np.ndarray, body_vertices: np.ndarray, body
     return 100.0 * np.array(inside)
 
 
-def through_pct(outer: np.ndarray, inner: np.ndarray, inner_faces: np.ndarray) -> np.ndarray:
-    """Share of the vertices ``outer`` (B, V, 3) that came through the garment ``inner`` (B, U, 3) below them.
-
-    A vertex is through where the nearest triangle of the inner garment faces away from it, unless the nearest point
-    lies on the border of that garment: then it is beside it.
-    """
-    shares = []
-    for over, under in zip(outer, inner, strict=True):
-        beside = closest.on_border(closest.closest_point(over, under, inner_faces), inner_faces)
-        shares.append((~beside & (closest.signed_distance(over, under, inner_faces) < 0.0)).mean())
-    return 100.0 * np.array(shares)
-
-
 def nearest_distance(vertices: np.ndarray, contact: BodyContact, body: np.ndarray, *, gap_m: float) -> np.ndarray:
-    """Distances [m] (F, V) of ``vertices`` (F, V, 3) to the planes of the nearest vertices of ``body``."""
+    """Returns the signed distances [m] (F, V) of ``vertices`` (F, V, 3) to the tangent planes of the nearest vertices
+    of the posed ``body`` [m] (F, Vb, 3). ``gap_m`` has no effect; other distances for ``static_parts`` need it."""
     return contact.planes(vertices, body).distance(vertices)
 
 
@@ -81,23 +67,25 @@ def static_parts(
     height_m: np.ndarray,
     distance: Callable[..., np.ndarray] = nearest_distance,
 ) -> dict[str, np.ndarray]:
-    """Energies [J] (F,) by part of ``vertices`` (F, V, 3), gravity relative to ``height_m`` (F,).
+    """Returns the energies [J] (F,) of ``vertices`` [m] (F, V, 3) by name, as ``energies.total`` does with contact.
 
-    ``distance`` gives the distances of contact; left out, they are those of training.
+    Heights count from ``height_m`` [m] (F,). ``distance`` is the function that gives the distances of contact; left
+    out, it is that of training.
     """
     apart = distance(vertices, contact, body_vertices, gap_m=material.contact_gap_m)
     return energies.total(vertices, cloth, material, distance=apart, height_m=height_m[:, None])
 
 
 def mean_height(vertices: np.ndarray, cloth: ClothMesh) -> np.ndarray:
-    """Height [m] (F,) of the centre of mass."""
+    """Returns the height y [m] (F,) of the cloth's centre of mass for ``vertices`` [m] (F, V, 3)."""
     return vertices[..., 1] @ cloth.vertex_area / cloth.vertex_area.sum()
 
 
 def third_difference_square(vertices: np.ndarray) -> float:
-    """Mean square [m^2] of x[t+3] - 3 x[t+2] + 3 x[t+1] - x[t] over the vertices of a clip (F, V, 3).
+    """Returns the mean square [m^2] of x[t+3] - 3 x[t+2] + 3 x[t+1] - x[t] over the vertices of a clip [m] (F, V, 3).
 
-    A constant acceleration has none, so what remains is jerk times the cube of the time step: jitter.
+    A constant acceleration has none, so what remains is jerk times the cube of the time step: jitter. Raises
+    ``InputError`` for fewer than four frames.
     """
     if len(vertices) < 4:
         raise InputError("clip", expected="4 frames or more", got=str(len(vertices)), cure="Take a longer window.")
@@ -106,9 +94,9 @@ def third_difference_square(vertices: np.ndarray) -> float:
 
 
 def gain(e_skin_push: float, e_net: float, e_physics: float) -> float:
-    """(E_skin - E_net) / (E_skin - E_physics): 0 is skinning with push-out, 1 the physics optimum.
+    """Returns (E_skin - E_net) / (E_skin - E_physics): 0 is skinning with push-out, 1 the physics optimum.
 
-    NaN where physics is not below skinning: then there is nothing to gain.
+    It is NaN where physics is not below skinning: then there is nothing to gain.
     """
     room = e_skin_push - e_physics
     return (e_skin_push - e_net) / room if room > 0.0 else float("nan")

@@ -26,12 +26,13 @@ REACH_M = 0.01
 
 
 class KernelConstants(NamedTuple):
-    """Numbers of the cloth, of the kernels' type.
+    """The numbers of a cloth that all its elements share, as floats of the kernels' type.
 
     ``warp``, ``cross`` and ``weft`` [N/m] are half of ``Material``'s, ``shear`` is a quarter: times F^T F - I they give
-    the stress. Contact begins ``gap`` [m] over the skin, a spring holds from ``slack`` [m] on. ``per_edge`` [1/m] makes
-    lengths dimensionless by the mean edge, ``degenerate`` is added to their squares. ``least`` [N/m] is added to the
-    Hessian block of every vertex; a step moves none by more than ``reach`` [m].
+    the stress. Contact begins ``gap`` [m] over the skin; the waistband's springs pull from ``slack`` [m] on.
+    ``per_edge`` [1/m] is one over the mean edge, which makes lengths dimensionless, and ``degenerate`` is added to
+    their squares. ``least`` [N/m] is added to the Hessian block of every vertex; a step moves no vertex by more than
+    ``reach`` [m].
     """
 
     warp: np.floating
@@ -47,11 +48,12 @@ class KernelConstants(NamedTuple):
 
 
 class Triangles(NamedTuple):
-    """``corner`` (F, 3); ``inverse`` (F, 4) [1/m]: 00, 10, 01, 11 of the inverse rest shape; ``area`` (F,) [m^2].
+    """The F triangles of a cloth, and for every vertex the triangles around it.
 
+    ``corner`` (F, 3); ``inverse`` (F, 4) [1/m]: entries 00, 10, 01, 11 of the inverse rest shape; ``area`` (F,) [m^2].
     The triangles of vertex v are rows ``start[v]`` to ``start[v + 1]`` of ``other`` (3F, 2) and ``slope`` (3F, 5). With
-    v as first corner, ``other`` names the two others; ``slope`` has the slopes along warp and weft of the one, of the
-    other [1/m], and the area [m^2].
+    v as first corner, ``other`` has the second and third one; ``slope`` has the slopes [1/m] along warp and weft of the
+    shape functions of the second, then of the third corner, and the area [m^2].
     """
 
     corner: np.ndarray
@@ -63,9 +65,11 @@ class Triangles(NamedTuple):
 
 
 class Hinges(NamedTuple):
-    """``corner`` (H, 4); ``stiffness`` (H,) [J]; ``cosine``, ``sine`` (H,) of the rest angle.
+    """The H hinges of a cloth, and for every vertex the hinges that it is a corner of.
 
-    The hinges of vertex v are ``member[start[v] : start[v + 1]]``, 4 h + c where it is corner c of hinge h.
+    ``corner`` (H, 4): the ends of the edge, then the third corners of both triangles; ``stiffness`` (H,) [J];
+    ``cosine``, ``sine`` (H,) of the rest angle. The hinges of vertex v are ``member[start[v] : start[v + 1]]``, each 4
+    h + c where v is corner c of hinge h.
     """
 
     corner: np.ndarray
@@ -77,8 +81,9 @@ class Hinges(NamedTuple):
 
 
 class QuadraticBending(NamedTuple):
-    """The symmetric matrix Q [N/m] of the bending of hinges that are flat at rest, rows without the diagonal.
+    """The symmetric matrix Q [N/m] (V, V) of the bending of hinges that are flat at rest, in compressed rows.
 
+    Row v has the ``value`` at the columns ``vertex`` from ``start[v]`` to ``start[v + 1]``, and ``diagonal[v]`` (V,).
     The energy is x^T Q x / 2, for each hinge k/2 w |sum c_i x_i|^2 (Bergou et al. 2006, "A Quadratic Bending Model for
     Inextensible Surfaces", SGP). Q is constant as long as triangles keep their lengths.
     """
@@ -91,11 +96,12 @@ class QuadraticBending(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Problem(Recorded):
-    """A cloth of V vertices, without what surrounds it.
+    """A cloth of V vertices as flat arrays, without what surrounds it.
 
-    ``weight_n`` (V,) [N]; ``contact_n_per_m`` (V,) [N/m]. ``order`` (V,) has the vertices colour by colour, and
-    ``colour_start`` where each colour begins: no two vertices of one colour share an element. ``quadratic`` bends the
-    hinges that are flat at rest; ``creases`` are the others.
+    ``weight_n`` (V,) [N] is each vertex's weight, ``contact_n_per_m`` (V,) [N/m] its contact stiffness. ``order`` (V,)
+    has the vertices colour by colour; ``colour_start`` says where each colour begins. No two vertices of one colour
+    share an element. ``hinges`` are all hinges; ``quadratic`` bends those that are flat at rest, and ``creases`` are
+    the others.
     """
 
     constants: KernelConstants
@@ -112,7 +118,7 @@ class Problem(Recorded):
 def problem(
     cloth: ClothMesh, material: Material, *, dtype: type[np.floating] = np.float32, reach_m: float = REACH_M
 ) -> Problem:
-    """The flat arrays of ``cloth`` made of ``material``: floats of ``dtype``, indices int32.
+    """Returns ``cloth`` made of ``material`` as flat arrays: floats of ``dtype``, indices int32.
 
     A step moves no vertex by more than ``reach_m`` [m].
     """
@@ -139,7 +145,8 @@ def problem(
 
 
 def stencil(cloth: ClothMesh) -> Any:
-    """Sparse symmetric matrix (V, V) in rows: one where two vertices share an element, and on the diagonal."""
+    """Returns a sparse symmetric matrix (V, V) in compressed rows: 1 where two vertices share a triangle or a hinge,
+    and on the diagonal."""
     count, corners = cloth.vertex_count, [cloth.faces, cloth.hinge_index.reshape(4, -1).T]
     rows = np.concatenate([np.repeat(c, c.shape[1], axis=1).reshape(-1) for c in corners] + [np.arange(count)])
     columns = np.concatenate([np.tile(c, (1, c.shape[1])).reshape(-1) for c in corners] + [np.arange(count)])
@@ -191,7 +198,7 @@ def _members(corner: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndar
 
 def _quadratic(cloth: ClothMesh, stiffness: np.ndarray, dtype: type[np.floating]) -> QuadraticBending:
     """The matrix of the hinges with the ``stiffness`` [J] (H,), which is zero where one is not flat at rest."""
-    corner, flat = cloth.hinge_index.reshape(4, -1).T, unfolded(cloth)
+    corner, flat = cloth.hinge_index.reshape(4, -1).T, unfold_hinges(cloth)
     ends, weight = np.zeros((2, len(corner))), stiffness.copy()
     wings = []
     for length, along, rise in zip(flat.length, flat.along, flat.height, strict=True):
@@ -215,15 +222,15 @@ def _quadratic(cloth: ClothMesh, stiffness: np.ndarray, dtype: type[np.floating]
 
 
 def rest_edges(cloth: ClothMesh) -> np.ndarray:
-    """The two edges [m] (F, 2, 2) from the first corner of every triangle laid flat at rest, along warp and weft."""
+    """Returns the two edges [m] (F, 2, 2) from the first corner of every triangle at rest, in the axes (warp, weft)."""
     return np.linalg.inv(cloth.inverse_shape.T.reshape(-1, 2, 2).transpose(0, 2, 1)).transpose(0, 2, 1)
 
 
 class Unfolded(NamedTuple):
-    """The hinges laid flat at rest, once by each of their two triangles.
+    """The H hinges with both triangles laid flat at rest; the first axis of each array is the triangle.
 
-    ``length`` [m] (2, H) of the shared edge, which both triangles have; ``along`` [m^2] (2, H): the scalar product of
-    the edge and the vector from its start to the third corner; ``height`` [m] (2, H) of that corner over the edge.
+    ``length`` [m] (2, H) of the shared edge as each triangle has it; ``along`` [m^2] (2, H): the scalar product of the
+    edge and the vector from its start to the third corner; ``height`` [m] (2, H) of that corner over the edge.
     """
 
     length: np.ndarray
@@ -231,8 +238,8 @@ class Unfolded(NamedTuple):
     height: np.ndarray
 
 
-def unfolded(cloth: ClothMesh) -> Unfolded:
-    """The hinges of ``cloth`` laid flat."""
+def unfold_hinges(cloth: ClothMesh) -> Unfolded:
+    """Returns lengths and heights of the hinges of ``cloth``, laid flat."""
     edges, faces = rest_edges(cloth), cloth.faces
     place = np.concatenate([np.zeros((len(edges), 1, 2)), edges], axis=1)  # (F, 3 corners, 2)
     corner, hinges = cloth.hinge_index.reshape(4, -1).T, []

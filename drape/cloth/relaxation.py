@@ -24,16 +24,18 @@ THREAD_WEIGHT = 10.0
 CONTACT_WEIGHT = 10.0
 INERTIA_WEIGHT = 0.02
 BENDING_LENGTH_M = 0.01  # folds shorter than about this cost more to bend than to squeeze flat
-LONGEST_MOVE_M = 0.02  # in one iteration; below half of a wrist, so that no vertex jumps through the body
+LONGEST_MOVE_M = 0.02  # the longest way in an iteration: less than half a wrist, so that no vertex jumps through one
 COLLAPSED = 1e-12
 
 
 class Relaxation:
-    """Cloth of vertices x (V, 3) whose triangles ``faces`` (F, 3) have flat rest corners ``rest`` [m] (F, 3, 2).
+    """The iterations for a cloth of V vertices whose ``faces`` (F, 3) have the flat corners ``rest`` [m] (F, 3, 2) at
+    rest.
 
-    ``threads`` (S, 2) are pairs of vertices that can be pulled together. ``distance`` is the body, ``gap_m`` what cloth
-    keeps from it, all of it or each vertex (V,). At the vertices ``creases`` it folds without resistance.
-    ``inertia``, of all or each vertex (V,), holds them where they are.
+    ``distance`` is a function of points that gives their signed distances from the body and its outward normals, and
+    cloth keeps ``gap_m`` [m], a number or (V,), from the body. ``threads`` (S, 2) are pairs of vertices that can be
+    pulled together. At the vertices ``creases`` cloth folds without resistance. ``inertia``, a number or (V,), is the
+    weight by which vertices are held where they are.
     """
 
     def __init__(
@@ -81,8 +83,8 @@ class Relaxation:
         return scipy.sparse.csr_matrix(membrane.T @ scale @ membrane)
 
     def step(self, x: np.ndarray, lengths_m: np.ndarray | None = None) -> np.ndarray:
-        """Returns the vertices [m] (V, 3) after one iteration from ``x`` (V, 3). ``lengths_m`` (S,) is how long each
-        thread may be, zero by default."""
+        """Returns the vertices [m] (V, 3) after one iteration from ``x`` [m] (V, 3). ``lengths_m`` [m] (S,) is how long
+        each thread may be, zero if left out."""
         distance, normal = self.distance(x)
         touching = distance < self.gap_m
         goal = x + np.where(touching, self.gap_m - distance, 0.0)[:, None] * normal
@@ -94,10 +96,10 @@ class Relaxation:
             share = np.minimum(1.0, lengths_m / np.maximum(length, 1e-12))
             right += THREAD_WEIGHT * (self._difference.T @ (share[:, None] * thread))
         system = self._constant + CONTACT_WEIGHT * scipy.sparse.diags(touching.astype(np.float64))
-        return moved(x, symmetric_factor(system).solve(right))
+        return move_towards(x, symmetric_factor(system).solve(right))
 
     def thread_lengths(self, x: np.ndarray) -> np.ndarray:
-        """Lengths [m] (S,) of the threads at ``x``."""
+        """Returns the lengths [m] (S,) of the threads for vertices ``x`` [m] (V, 3)."""
         return np.linalg.norm(self._difference @ x, axis=1)
 
     def _inward(self, x: np.ndarray) -> np.ndarray:
@@ -110,14 +112,15 @@ class Relaxation:
         return self._area[:, None, None] * np.einsum("fxp,fcp->fcx", nearest_isometry(f), self._gradient)
 
 
-def moved(x: np.ndarray, goal: np.ndarray) -> np.ndarray:
+def move_towards(x: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """Returns ``x`` [m] (V, 3), moved to ``goal`` (V, 3), but no vertex by more than ``LONGEST_MOVE_M``."""
     size = np.linalg.norm(goal - x, axis=1, keepdims=True)
     return x + (goal - x) * np.minimum(1.0, LONGEST_MOVE_M / np.maximum(size, 1e-12))
 
 
 def shape_gradients(rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gradients (F, 3, 2) [1/m] of the corners' shape functions, and areas (F,) [m^2], of flat triangles (F, 3, 2) [m].
+    """Returns for flat triangles ``rest`` [m] (F, 3, 2) the gradients [1/m] (F, 3, 2) of the shape functions of their
+    corners, and their areas [m^2] (F,).
 
     Raises ``MeshError`` for a triangle without area.
     """
@@ -136,16 +139,18 @@ def shape_gradients(rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def principal_stretches(faces: np.ndarray, rest: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Stretches (F, 2), the larger first and 1 for none, of ``faces`` (F, 3) with flat rest corners [m] (F, 3, 2).
+    """Returns the principal stretches (F, 2) of ``faces`` (F, 3) at ``x`` [m] (V, 3), the larger one first; 1 is
+    unstretched.
 
-    The vertices lie at ``x`` [m] (V, 3).
+    ``rest`` [m] (F, 3, 2) are the flat corners at rest.
     """
     gradient, _ = shape_gradients(rest)
     return np.linalg.svd(np.einsum("fcx,fcp->fxp", x[faces], gradient), compute_uv=False)
 
 
 def nearest_isometry(f: np.ndarray) -> np.ndarray:
-    """The matrices (F, 3, 2) with orthonormal columns nearest to ``f`` (F, 3, 2): f (f^T f)^(-1/2), in closed form."""
+    """Returns the matrices (F, 3, 2) with orthonormal columns nearest to ``f`` (F, 3, 2): f (f^T f)^(-1/2), in closed
+    form."""
     c00, c11 = (f[:, :, 0] ** 2).sum(axis=1), (f[:, :, 1] ** 2).sum(axis=1)
     c01 = (f[:, :, 0] * f[:, :, 1]).sum(axis=1)
     # Root of a 2 x 2 matrix C: (C + s I) / t with s^2 = det C, t^2 = tr C + 2 s; s is bounded for flat triangles.

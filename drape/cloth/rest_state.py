@@ -10,7 +10,7 @@ from drape.arrays import check_finite, check_shape
 from drape.errors import InputError, MeshError
 from drape.geometry import meshes
 
-SMALLEST_AREA_SHARE = 1e-9  # of the mean triangle; below it a rest shape has no inverse
+SMALLEST_AREA_SHARE = 1e-9  # share of the mean area; the shape of a smaller triangle has no inverse
 UP = (0.0, 1.0, 0.0)
 FORWARD = (0.0, 0.0, 1.0)  # the grain of cloth that lies level
 LEVEL = 0.1  # length of the grain's projection below which a triangle counts as level
@@ -18,11 +18,12 @@ LEVEL = 0.1  # length of the grain's projection below which a triangle counts as
 
 @dataclass(frozen=True, eq=False)
 class RestState:
-    """Rest of F triangles and H hinges (order of ``meshes.hinges``).
+    """The state without stress of F triangles and H hinges (in the order of ``meshes.hinges``). Raises ``MeshError`` or
+    ``InputError`` for triangles without area, numbers that are not finite, and a negative stiffening.
 
-    ``edges`` [m] (F, 2, 2): from each triangle's first corner to its second and third, along (warp, weft), which is
-    the rest metric and the grain in one. ``hinge_angle`` [rad] (H,): the dihedral angle without stress, positive where
-    the fold points along the normals. ``stiffening`` (H,): factor of the fabric's bending, 2 in a hem.
+    ``edges`` [m] (F, 2, 2): from each triangle's first corner to its second and third, in the axes (warp, weft), which
+    is the rest metric and the grain in one. ``hinge_angle`` [rad] (H,): the dihedral angle without stress, positive
+    where the fold points along the normals. ``stiffening`` (H,): factor of the fabric's bending, 2 in a hem.
     """
 
     edges: np.ndarray
@@ -53,7 +54,7 @@ class RestState:
 
 
 def grain_along(vertices: np.ndarray, faces: np.ndarray, direction: np.ndarray | tuple[float, ...] = UP) -> np.ndarray:
-    """Unit warp (F, 3) of every triangle: ``direction`` (3,) or (F, 3) laid into its plane.
+    """Returns the unit warp (F, 3) of every triangle: ``direction``, (3,) or (F, 3), projected onto its plane.
 
     A garment's grain hangs vertically unless it is cut otherwise; on a triangle that lies level it runs forward.
     """
@@ -65,10 +66,12 @@ def grain_along(vertices: np.ndarray, faces: np.ndarray, direction: np.ndarray |
     return laid / np.maximum(np.linalg.norm(laid, axis=1, keepdims=True), 1e-12)
 
 
-def modelled(vertices: np.ndarray, faces: np.ndarray, grain: np.ndarray | None = None) -> RestState:
-    """Rest is the mesh as it is: lengths and angles of ``vertices`` [m] (V, 3).
+def modelled_rest(vertices: np.ndarray, faces: np.ndarray, grain: np.ndarray | None = None) -> RestState:
+    """Returns the rest state of a mesh that is at rest as it lies, with the lengths and angles of ``vertices`` [m] (V,
+    3).
 
-    ``grain`` (F, 3): unit warp in every triangle's plane; left out, it hangs vertically.
+    ``grain`` (F, 3) is the unit warp in every triangle's plane; left out, it hangs vertically. Raises ``MeshError`` for
+    vertices that are not finite, indices out of range and triangles without area.
     """
     rest = np.asarray(vertices, dtype=np.float64)
     check_shape("vertices", rest, (None, 3), error=MeshError)
@@ -82,14 +85,15 @@ def modelled(vertices: np.ndarray, faces: np.ndarray, grain: np.ndarray | None =
     return RestState(edges, angle, np.ones(len(angle)))
 
 
-def flat(vertices: np.ndarray, faces: np.ndarray, grain: np.ndarray | None = None) -> RestState:
-    """As ``modelled``, with every hinge flat at rest."""
-    state = modelled(vertices, faces, grain)
+def flat_rest(vertices: np.ndarray, faces: np.ndarray, grain: np.ndarray | None = None) -> RestState:
+    """Returns ``modelled_rest`` with every hinge flat at rest."""
+    state = modelled_rest(vertices, faces, grain)
     return RestState(state.edges, np.zeros_like(state.hinge_angle), state.stiffening)
 
 
 def dihedral_angles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Signed angle [rad] (H,) between the triangles at every hinge, zero in the plane."""
+    """Returns the dihedral angle [rad] (H,) at every hinge, in (-pi, pi]: zero in the plane, positive where the fold
+    points along the normals. Hinges are in the order of ``meshes.hinges``."""
     first, second, left, right = (vertices[index] for index in meshes.hinges(faces).T)
     e, a, b = second - first, left - first, right - first
     n1, n2 = np.cross(e, a), np.cross(b, e)

@@ -18,13 +18,12 @@ from drape.cloth import membrane
 from drape.cloth.energies import ClothMesh
 from drape.geometry import meshes
 
-LEAST_N_PER_M = 1e-9  # of the tension where there is none; keeps its root off zero
+LEAST_N_PER_M = 1e-9  # added where there is no tension, so that its root is not zero
 
 
 class Tension(NamedTuple):
-    """The tension of cloth at each of V vertices: engineering strain along ``warp`` and ``weft`` (V,), and the
-    ``pressure`` [N/m^2] (V,) on the skin.
-    """
+    """The pull in a cloth at its V vertices: engineering strain along ``warp`` and ``weft`` (V,), negative where cloth
+    is pushed together, and the ``pressure`` [N/m^2] (V,) on the skin, 0 or more."""
 
     warp: np.ndarray
     weft: np.ndarray
@@ -34,10 +33,10 @@ class Tension(NamedTuple):
 def cloth_tension(
     vertices: np.ndarray, cloth: ClothMesh, stiffness: membrane.Stiffness, touching: np.ndarray
 ) -> Tension:
-    """The tension of ``cloth`` at ``vertices`` [m] (V, 3).
+    """Returns strain and pressure of ``cloth`` at ``vertices`` [m] (V, 3), by vertex.
 
-    ``stiffness`` is (warp, weft, cross, shear) [N/m]; ``touching`` (V,) whether a vertex lies on the skin: elsewhere it
-    presses nothing. Values of a vertex are the means of its triangles, by their areas at rest.
+    ``stiffness`` is (warp, weft, cross, shear) [N/m]; ``touching`` (V,) bool says which vertices lie on the skin, since
+    others have no pressure. A vertex has the mean of its triangles, weighted by their areas at rest.
     """
     along = _columns(vertices, cloth)
     strains = [np.sqrt(np.sum(way * way, axis=0)) - 1.0 for way in along]
@@ -46,10 +45,10 @@ def cloth_tension(
 
 
 def face_pressure(vertices: np.ndarray, cloth: ClothMesh, stiffness: membrane.Stiffness) -> np.ndarray:
-    """Pressure [N/m^2] (F,) of each triangle towards its back, negative where it is hollow.
+    """Returns the pressure [N/m^2] (F,) of each triangle against its normal, negative where the cloth is hollow.
 
-    With the columns p, t of F, the second Piola-Kirchhoff tension S and the slopes of the normal dn along both axes,
-    p J = S_pp p.dn_p + S_tt t.dn_t + S_pt (p.dn_t + t.dn_p), J the stretch of the area.
+    With the columns p, t of F, the second Piola-Kirchhoff tension S and the slopes of the normal dn along both axes, p
+    J = S_pp p.dn_p + S_tt t.dn_t + S_pt (p.dn_t + t.dn_p), J the stretch of the area.
     """
     p, t = _columns(vertices, cloth)
     along_p, along_t = _columns(meshes.vertex_normals(vertices, cloth.faces), cloth)
@@ -65,7 +64,8 @@ def _columns(values: np.ndarray, cloth: ClothMesh) -> tuple[np.ndarray, np.ndarr
 
 
 def face_means(values: np.ndarray, cloth: ClothMesh) -> np.ndarray:
-    """Means (..., V) over the triangles around every vertex of ``values`` (..., F), weighted by area at rest."""
+    """Returns for every vertex the mean (..., V) of ``values`` (..., F) of the triangles around it, weighted by area at
+    rest."""
     rows = np.concatenate([values.reshape(-1, values.shape[-1]), np.ones((1, values.shape[-1]))]) * cloth.face_area
     count = len(cloth.vertex_area)
     sums = [np.bincount(cloth.face_index, np.tile(row, 3), minlength=count) for row in rows]

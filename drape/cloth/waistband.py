@@ -18,16 +18,18 @@ CHEST = JOINT_NAMES.index("spine3")
 
 @dataclass(frozen=True, eq=False)
 class Waistband:
-    """Vertices (n,) of a garment's highest border, and the length of band [m] (n,) that each stands for."""
+    """A waistband: the vertices (n,) of a garment's highest border in order, and the length [m] (n,) of band at
+    each."""
 
     vertex: np.ndarray
     length_m: np.ndarray
 
 
 def waistband(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> Waistband | None:
-    """The band of a garment at rest, ``vertices`` [m] (V, 3) on ``body``; ``None`` if it hangs from the shoulders.
+    """Returns the waistband of a garment that is at rest on ``body`` at ``vertices`` [m] (V, 3): the border with the
+    greatest mean height.
 
-    A garment that ends below the chest has one: its border of the greatest mean height.
+    It is ``None`` if the garment has no border or reaches above the chest, and so hangs from the shoulders.
     """
     loops = meshes.boundary_loops(faces)
     if not loops or vertices[:, 1].max() > body.joints_template[CHEST, 1]:
@@ -38,7 +40,8 @@ def waistband(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> Waist
 
 
 def band_energy(way: Array, length_m: Array) -> Array:
-    """Energy [J] (F,) of a band whose vertices are ``way`` [m] (F, n, 3) off the places that the body gives them.
+    """Returns the energy [J] (F,) of a waistband whose n vertices are displaced by ``way`` [m] (F, n, 3) from the
+    places that the body gives them; ``length_m`` [m] (n,) is the band at each.
 
     ``K / 2 sum l max(0, |d| - slack)^2``: free within the slack, a spring past it, along the skin and off it alike.
     """

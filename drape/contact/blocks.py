@@ -8,9 +8,10 @@ FACING_M = 0.03  # normals count as so many metres: points that face opposite wa
 
 
 def blocks(points: np.ndarray, normals: np.ndarray, size: int) -> np.ndarray:
-    """Indices (B, ``size``) of ``points`` [m] (N, 3), every point in one block; a short block repeats its first point.
+    """Returns blocks of points that lie together, as indices (B, ``size``) int64 into ``points`` [m] (N, 3). Every
+    point is in one block; a block with fewer points repeats its first one.
 
-    The set is halved along its longest direction until a part fits, always at a multiple of ``size``. ``normals``
+    The set is halved along its longest direction until a part fits, always at a multiple of ``size``. Unit ``normals``
     (N, 3) keep apart the two sides of thin parts, and the layers of a garment.
     """
     key = np.concatenate([points, FACING_M * normals], axis=1)

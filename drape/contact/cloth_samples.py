@@ -14,12 +14,12 @@ import numpy as np
 import scipy.sparse
 from scipy.spatial import KDTree
 
-from drape.contact.samples import CLUSTER_SIZE, FACING, Placed, Samples, at_rest, operator, place, thinned, unit
+from drape.contact.samples import CLUSTER_SIZE, FACING, Placed, Samples, at_rest, operator, place, thin_points, unit
 from drape.errors import InputError
 from drape.geometry import closest, meshes
 
 SPACING_M = 0.014
-THIN_M = 0.008  # of vertices nearer to each other than this one gives tangents, so that fine meshes cost no more
+THIN_M = 0.008  # of vertices nearer together one gives tangents, so that fine meshes cost no more
 MEMBERS = 24  # vertices that the samples of a cluster are sums over
 CANDIDATES = 48
 COVER_M = 0.06  # cloth farther before a sample than this does not hide it
@@ -28,10 +28,10 @@ BEHIND_M = 0.015  # nor does cloth that lies more than this behind it: layers ma
 
 @dataclass(frozen=True, eq=False)
 class ClothSamples(Samples):
-    """Samples of a garment, which can also be computed as small products.
+    """The samples of a garment, in C clusters of 4. They also come from small products of the garment's vertices.
 
-    Each of C clusters of 4 samples is a sum over 24 vertices: ``member`` (C, 24) are the vertices, and ``rows`` (C, 24,
-    12) their weights in 4 points, 4 first and 4 second tangents.
+    ``member`` (C, 24) are the vertices that a cluster is a weighted sum of, and ``rows`` (C, 24, 12) their weights for
+    its 4 points, 4 first and 4 second tangents.
     """
 
     member: np.ndarray
@@ -39,7 +39,8 @@ class ClothSamples(Samples):
 
 
 def cloth_samples(vertices: np.ndarray, faces: np.ndarray) -> ClothSamples:
-    """Samples of a garment whose outward ``faces`` have the rest ``vertices`` [m] (V, 3)."""
+    """Returns the samples of a garment with ``vertices`` [m] (V, 3) at rest and ``faces`` (F, 3) that are
+    counter-clockwise seen from outside."""
     rest = np.asarray(vertices, dtype=np.float64)
     faces = meshes.check_faces(faces, len(rest))
     placed = place(rest, faces, np.full(len(rest), SPACING_M))
@@ -50,9 +51,9 @@ def cloth_samples(vertices: np.ndarray, faces: np.ndarray) -> ClothSamples:
     return ClothSamples(made.operator, made.point, made.normal, made.spacing_m, member, _rows(made, member))
 
 
-def joined(parts: Sequence[Samples]) -> Samples:
-    """Returns the samples of several meshes as those of one mesh, whose vertices are theirs, one mesh after the
-    other."""
+def join_samples(parts: Sequence[Samples]) -> Samples:
+    """Returns the samples of several meshes as samples of one mesh, in the order of ``parts``; its vertices are the
+    vertices of all, in the same order. Raises ``InputError`` for no parts."""
     if not parts:
         raise InputError("parts", expected="at least one", got="none", cure="Pass the body's samples first.")
     thirds = [[part.operator[k * part.count : (k + 1) * part.count] for part in parts] for k in range(3)]
@@ -63,9 +64,9 @@ def joined(parts: Sequence[Samples]) -> Samples:
     return Samples(scipy.sparse.csr_matrix(stacked), point, normal, spacing)
 
 
-def hidden_under(samples: Samples, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Returns which samples (S,) bool lie hidden at rest under the cloth ``vertices`` [m] (V, 3), ``faces``: the cloth
-    is near and before them, and does not end there."""
+def hidden_samples(samples: Samples, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Returns which of S ``samples`` are hidden at rest, bool (S,), by the cloth with ``vertices`` [m] (V, 3) and
+    ``faces``: the cloth is near the sample and in front of it, and does not end there."""
     found = closest.closest_point(samples.point, vertices, faces)
     before = ((found.point - samples.point) * samples.normal).sum(axis=1)
     return (found.distance < COVER_M) & (before > -BEHIND_M) & ~closest.on_border(found, faces)
@@ -94,7 +95,7 @@ def _members(rest: np.ndarray, faces: np.ndarray, placed: Placed) -> np.ndarray:
 def _thinned(rest: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Vertices no two of which are nearer than ``THIN_M``, the two sides of thin parts counted apart."""
     key = np.concatenate([rest, 0.5 * THIN_M * normals], axis=1)
-    return thinned(key, np.full(len(rest), THIN_M))
+    return thin_points(key, np.full(len(rest), THIN_M))
 
 
 def _rows(samples: Samples, member: np.ndarray) -> np.ndarray:

@@ -31,10 +31,11 @@ LEAST_WEIGHTS = (1e-37, 1e-30)
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A surface as N points see it: ``distance`` [m] (..., N), positive outside; unit ``normal`` (..., 3, N).
+    """The surface of samples as seen from N points: the signed ``distance`` [m] (..., N) of a point, positive outside,
+    and the unit ``normal`` (..., 3, N) there.
 
     ``beside_m2`` [m^2] (..., N): the square of the distance from the samples along the surface; where it is larger than
-    their spacing the surface has ended. ``agreement`` (..., N) in [0, 1] of the normals that were mixed: it is small
+    their spacing the surface has ended. ``agreement`` (..., N) in [0, 1] is the length of the mean normal: it is small
     between two surfaces that face each other.
     """
 
@@ -45,24 +46,26 @@ class Surface:
 
 
 def queries(points: Array) -> Array:
-    """Columns (..., 8, P) of ``points`` (..., 3, P). Times a sample's row they are -|x - b|^2 / h^2 + x . x / h^2."""
+    """Returns columns (..., 8, P) for ``points`` x [m] (..., 3, P). A sample's row of ``sample_table`` times a column
+    is -|x - b|^2 / h^2 + x . x / h^2, b the sample's point and h the bandwidth."""
     scale = 1.0 / (BANDWIDTH_M * BANDWIDTH_M)
     turned = like(points, [[2.0 * scale * (row == column) for row in range(3)] for column in range(8)])
     return turned @ points + like(points, [[-scale * (column == 3)] for column in range(8)])
 
 
 def attend(query: Array, table: Array, bias: Array) -> Array:
-    """Means (..., P, 8) of the rows ``table`` (..., K, 8) of samples (``drape.contact.samples.sample_table``).
+    """Returns at P points the weighted means (..., P, 8) of K samples, rows of ``table`` (..., K, 8)
+    (``drape.contact.samples.sample_table``). The weights are the softmax of distance and ``bias`` (..., K).
 
-    ``query`` (..., P, 8) are ``queries`` with the points first, ``bias`` (..., K) logits of the samples.
+    ``query`` (..., P, 8) are ``queries`` of the points, transposed.
     """
     logits = query @ namespace(query).matrix_transpose(table) + bias[..., None, :]
     return softmax(logits) @ table
 
 
 def query_columns(points: Array) -> Array:
-    """Columns (..., 10, P) of ``points`` (..., 3, P). Times a sample's column in ``attend_columns`` they are the logits
-    -|x - b|^2 / h^2 + bias."""
+    """Returns columns (..., 10, P) for ``points`` x [m] (..., 3, P), which ``attend_columns`` takes. Times a sample's
+    ten numbers there, a column is its logit -|x - b|^2 / h^2 + bias."""
     xp = namespace(points)
     scale = 1.0 / (BANDWIDTH_M * BANDWIDTH_M)
     plain = queries(points)
@@ -71,9 +74,10 @@ def query_columns(points: Array) -> Array:
 
 
 def attend_columns(query: Array, table: Array, bias: Array) -> Array:
-    """Returns ``attend`` with the points last: means (..., 8, P) for ``query_columns``, by sums of exponentials.
+    """Returns at P points the weighted means (..., 8, P) of K samples, as ``attend`` does, but with the points last.
 
-    A softmax without the search for the largest logit, which would cost more than all the rest. So the ``bias`` of some
+    ``query`` (..., 10, P) are ``query_columns``, ``table`` (..., K, 8) the samples, ``bias`` (..., K) their logits.
+    This softmax does not search for the largest logit, which would cost more than all the rest. So the ``bias`` of some
     sample must be near 0, and means fade to nothing from some 10 cm away from all samples on.
     """
     xp = namespace(query)
@@ -86,7 +90,7 @@ def attend_columns(query: Array, table: Array, bias: Array) -> Array:
 
 
 def surface(points: Array, means: Array) -> Surface:
-    """The surface at ``points`` [m] (..., 3, N) from the means (..., 8, N) there."""
+    """Returns the surface as seen from ``points`` [m] (..., 3, N), from the ``means`` (..., 8, N) of samples there."""
     xp = namespace(points)
     normal = means[..., 4:7, :]
     length = xp.sqrt(xp.clip(dot_columns(normal, normal), min=TINY))
@@ -99,7 +103,7 @@ def surface(points: Array, means: Array) -> Surface:
 
 
 def softmax(logits: Array) -> Array:
-    """Softmax over the last axis; torch's own, one kernel, where the namespace has it."""
+    """Returns the softmax of ``logits`` over the last axis; torch's own, one kernel, where the namespace has it."""
     xp = namespace(logits)
     if hasattr(xp, "softmax"):
         return xp.softmax(logits, -1)
@@ -108,21 +112,22 @@ def softmax(logits: Array) -> Array:
 
 
 def ramp(value: Array, low: float, high: float) -> Array:
-    """0 at ``low``, 1 at ``high``, linear between and constant beyond; ``high`` may lie below ``low``."""
+    """Returns 0 where ``value`` is at ``low``, 1 at ``high``, linear between and constant beyond, in the shape of
+    ``value``. ``high`` may lie below ``low``."""
     return namespace(value).clip((value - low) * (1.0 / (high - low)), min=0.0, max=1.0)
 
 
 def take(rows: Array, index: Array, axis: int = 0) -> Array:
-    """Returns ``rows`` at ``index`` (n,), none negative, along ``axis``: one operation in torch, where indexing is
-    four."""
+    """Returns the entries of ``rows`` at ``index`` (n,), none negative, along ``axis``: one operation in torch, where
+    indexing is four."""
     xp = namespace(rows)
     return xp.index_select(rows, axis, index) if hasattr(xp, "index_select") else xp.take(rows, index, axis=axis)
 
 
 def columns(table: Array, index: Array) -> Array:
-    """Returns ``table`` (F, n, N) at ``index`` (m,) of its last axis: (F, n, m).
+    """Returns (F, n, m): the columns of ``table`` (F, n, N) at ``index`` (m,).
 
-    Taken from one matrix of few rows, which graphs are fast with.
+    They are taken from one matrix of few rows, which graphs are fast with.
     """
     xp = namespace(table)
     flat = take(xp.reshape(table, (-1, table.shape[2])), index, axis=1)
@@ -130,7 +135,7 @@ def columns(table: Array, index: Array) -> Array:
 
 
 def largest(scores: Array, count: int) -> Array:
-    """Places (..., ``count``) of the largest entries of each row of ``scores`` (..., n), in no order."""
+    """Returns the indices (..., ``count``) of the largest ``scores`` (..., n) along the last axis, in no order."""
     xp = namespace(scores)
     if hasattr(xp, "topk"):
         return xp.topk(scores, count, dim=-1, sorted=False)[1]

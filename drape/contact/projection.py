@@ -37,24 +37,25 @@ BESIDE_M2 = (0.026**2, 0.016**2)  # a point this far beside the samples is beyon
 DEPTH_M = (-0.035, -0.025)  # a point deeper inside belongs to another surface
 AGREEMENT = (0.35, 0.65)  # where mixed normals agree less, two surfaces are mixed
 LARGEST_PUSH_M = 0.030
-HAS_OTHER = 2.0  # in 255ths: a list has an other part where some sample is one by this much
-OTHER_LEAST = 1e-3  # the weight of a sample that is no other part, beside ones that are
+HAS_OTHER = 2.0  # in 255ths: there is another part where a sample belongs to one by this much
+OTHER_LEAST = 1e-3  # the weight of a sample that belongs to no other part, beside samples that do
 CHARTS_PER_VERTEX = 4
-JET_ROUNDS = 4  # fits, where charts carry all of the push
-JET_OVER = 2.0  # times a fit of what is missing: a fit spreads a push and so falls short of it
+JET_ROUNDS = 4  # fits of jets, whose charts carry all of the push
+JET_OVER = 2.0  # factor of each fit of what is missing: a fit spreads a push and so falls short of it
 TILE_WIDTH = 64  # columns of ten numbers: wider tiles than those of the drape are faster and still small
-TERMS = jets.coefficient_count(3)  # of a patch's polynomial
+TERMS = jets.coefficient_count(3)  # coefficients of a patch's cubic
 REGION_BIAS_M2 = 0.002  # squared distance [m^2] that one logit of a region outweighs
 
 
 @dataclass(frozen=True, eq=False)
 class PushFeed(PushTables, Recorded):
-    """Constants of a garment as ``push_out`` takes them: ``drape.graph.push_feed.pack_push`` makes them.
+    """The constants with which ``push_out`` pushes one garment; ``drape.graph.push_feed.pack_push`` makes them.
 
-    Beside the tables of its G groups, N = 32 G slots, those of its charts: K patches, Q tiles of 64 charts
-    (``drape.graph.packing``). ``patch_block`` (K, B) the blocks that lie in a patch, ``patch_fit`` (K, B, 10) the
-    weights by which their displacements give its polynomial; ``tile_basis`` (Q, 10, 64), ``tile_patch`` (Q,),
-    ``slot_charts`` (4, G, 32) columns of the tiles.
+    Besides ``PushTables`` with G groups, so N = 32 G slots, they are the charts of K patches, in Q tiles of 64 columns
+    (``drape.graph.packing``). ``patch_block`` (K, B): the blocks in a patch; ``patch_fit`` (K, B, 10): the weights by
+    which mean displacements of blocks give the patch's cubic. ``tile_basis`` (Q, 10, 64): the cubic's monomials at a
+    chart times the chart's weight; ``tile_patch`` (Q,): the patch of a tile; ``slot_charts`` (4, G, 32): the columns,
+    counted through all tiles, of the charts of a slot.
     """
 
     patch_block: Array = tensor("push_patch_block", "patches", "patch_blocks", dtype="int32", unit="block")
@@ -67,17 +68,17 @@ class PushFeed(PushTables, Recorded):
 
     @property
     def patches(self) -> int:
-        """The number K of patches."""
+        """The number K of patches, which the engine reads too."""
         return len(self.patch_fit)
 
 
 @dataclass(frozen=True, eq=False)
 class Pushed:
-    """F drapes after the push-out: ``vertices`` [m] (F, V, 3), and the push for drapes by jets.
+    """F drapes after the push-out: pushed ``vertices`` [m] (F, V, 3), and the push as jets of K patches can show it.
 
-    ``coefficients`` [m] (F, K, 3, 10): a displacement as a cubic of each patch's parameters, in the axes of the
+    ``coefficients`` [m] (F, K, 3, 10): the displacement of a patch as a cubic of its parameters, in the axes of the
     vertices. Jets have no step 3; step 2 is repeated with what is still missing instead. ``left_m`` [m] (F,): the
-    largest distance that a vertex moved by the blend of ``coefficients`` still lacks.
+    largest distance between what a vertex should move and what ``coefficients`` move it.
     """
 
     vertices: Array
@@ -86,14 +87,14 @@ class Pushed:
 
 
 def push_out(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | float = CLEARANCE_M) -> Array:
-    """Returns ``vertices`` [m] (F, V, 3) pushed out of the bodies that have the samples ``skin`` (F, R, 12, 8)
-    (``skin.skin_table``)."""
+    """Returns ``vertices`` [m] (F, V, 3) pushed out of the bodies with the samples ``skin`` (F, R, 12, 8)
+    (``skin.skin_table``), in the same frame, up to ``clearance_m`` [m] off the skin."""
     return push_in_parts(vertices, skin, feed, clearance_m).vertices
 
 
 def push_in_parts(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | float = CLEARANCE_M) -> Pushed:
-    """Returns what ``push_out`` does, with the push for drapes by jets. A graph that is cut to the vertices leaves the
-    latter out."""
+    """Returns ``vertices`` [m] (F, V, 3) pushed as by ``push_out``, and the push as jets can show it. Arguments are
+    those of ``push_out``. A graph that is cut to the vertices leaves the jets out."""
     xp = namespace(vertices)
     start = columns(xp.matrix_transpose(vertices), _flat(feed.block_vertex))  # (F, 3, N)
     means, has_other = _means(start, skin, feed)
@@ -113,12 +114,12 @@ def push_in_parts(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Arr
         return moved + _way(own_missing - dot_columns(moved, own_normal), own_share) * own_normal
 
     coefficients = fit(out(None), feed)
-    carried = blended(coefficients, feed)
+    carried = blend_displacement(coefficients, feed)
     moved = out(carried)
     vertices = xp.matrix_transpose(columns(start + moved, feed.vertex_slot))
     for _ in range(JET_ROUNDS - 1):
         coefficients = coefficients + JET_OVER * fit(moved - carried, feed)
-        carried = blended(coefficients, feed)
+        carried = blend_displacement(coefficients, feed)
         moved = out(carried)
     rest = moved - carried
     left = xp.sqrt(xp.max(dot_columns(rest, rest)[:, 0], axis=-1))
@@ -128,8 +129,8 @@ def push_in_parts(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Arr
 def push_out_of_bodies(
     vertices: np.ndarray, body_vertices: np.ndarray, skin: Samples, feed: PushFeed, clearance_m: float = CLEARANCE_M
 ) -> np.ndarray:
-    """Returns ``vertices`` [m] (F, V, 3) pushed out of the posed bodies ``body_vertices`` [m] (F, Vb, 3), frame by
-    frame."""
+    """Returns ``vertices`` [m] (F, V, 3) pushed out of the posed bodies ``body_vertices`` [m] (F, Vb, 3), one frame at
+    a time, up to ``clearance_m`` [m] off the skin. ``skin`` are the bodies' samples."""
     pushed = np.empty_like(vertices)
     for frame in range(len(vertices)):
         now = slice(frame, frame + 1)
@@ -142,7 +143,8 @@ def push_out_of_bodies(
 
 
 def fit(displacement: Array, feed: PushFeed) -> Array:
-    """Coefficients (F, K, 3, 10) of the least-squares polynomial of each patch for ``displacement`` (F, 3, N)."""
+    """Returns for each of K patches the cubic nearest to ``displacement`` [m] (F, 3, N) of the N slots of ``feed``, in
+    the sense of least squares: its coefficients [m] (F, K, 3, 10)."""
     xp = namespace(displacement)
     frames, (patches, members, _) = displacement.shape[0], feed.patch_fit.shape
     of_blocks = xp.mean(xp.reshape(displacement, (frames, 3, -1, BLOCK_SIZE)), axis=3)
@@ -150,8 +152,9 @@ def fit(displacement: Array, feed: PushFeed) -> Array:
     return xp.permute_dims(of_patch, (0, 2, 1, 3)) @ feed.patch_fit
 
 
-def blended(coefficients: Array, feed: PushFeed) -> Array:
-    """The displacement (F, 3, N) of the slots: the blend of the polynomials ``coefficients`` (F, K, 3, 10)."""
+def blend_displacement(coefficients: Array, feed: PushFeed) -> Array:
+    """Returns the displacement [m] (F, 3, N) of the N slots of ``feed`` that the cubics ``coefficients`` [m] (F, K, 3,
+    10) of the patches give them: their weighted mean over the charts of a slot."""
     xp = namespace(coefficients)
     frames, slots = coefficients.shape[0], feed.slot_charts.shape[1] * feed.slot_charts.shape[2]
     tiles, _, width = feed.tile_basis.shape
@@ -169,7 +172,7 @@ def _means(start: Array, skin: Array, feed: PushFeed) -> tuple[Array, Array]:
     own = _own_part(_apart(query, BLOCK_SIZE), skin, feed)
     table, bias, has_other = _other_parts(start, skin, feed)
     other = attend_columns(_apart(query, GROUP_SIZE * BLOCK_SIZE), table, bias)
-    # The points last again: what follows runs along them.
+    # The points come last again, because what follows runs along them.
     means = [xp.reshape(xp.permute_dims(part, (0, 2, 1, 3)), (frames, 8, -1)) for part in (own, other)]
     has_other = xp.broadcast_to(has_other, (*has_other.shape[:2], GROUP_SIZE * BLOCK_SIZE))
     return xp.concat(means, axis=2), xp.reshape(has_other, (frames, 1, -1))
@@ -209,8 +212,8 @@ def _other_parts(start: Array, skin: Array, feed: PushFeed) -> tuple[Array, Arra
 
 
 def samples_in(top: Array, skin: Array, other: Array, groups: int) -> tuple[Array, Array]:
-    """The samples in the regions ``top`` (F, G, 2), which each of ``groups`` has chosen: rows (F, G, 24, 8) of ``skin``
-    (F, R, 12, 8), and how much each is another part (F, G, 24) by ``other`` (G, ...)."""
+    """Returns the samples of the regions that each of ``groups`` has chosen, ``top`` (F, G, 2): their rows (F, G, 24,
+    8) of ``skin`` (F, R, 12, 8), and their numbers (F, G, 24) in ``other``, which has one for each group and sample."""
     xp = namespace(skin)
     frames, regions, count = skin.shape[0], count_of(skin[0, :, 0, 0], top.dtype), REGION_COUNT * REGION_SIZE
     frame = regions * xp.arange(frames, dtype=top.dtype, device=device(top))[:, None, None]

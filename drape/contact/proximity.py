@@ -23,17 +23,20 @@ from drape.geometry.rotations import dot_columns
 GAP_M = 0.006  # proximity begins at this distance; the contact energy at 4 mm
 UNIT_M = 0.01
 DEEP_M = (-0.060, -0.045)  # deeper inside there is no proximity
-HELD_M = 0.004  # below a plane: deeper no correction takes a point
-SOFT_M = 0.001  # by which the share of a correction changes gently, so that rounding is not seen
+HELD_M = 0.004  # no correction takes a point deeper below a plane
+SOFT_M = 0.001  # makes the share of a correction change gently, so that rounding is not seen
 OTHER_STEPS = 15  # half a byte: two samples lie in one where they are stored
 REGION_LEAST = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class PatchSkin(Tensors):
-    """Skin near K patches: ``own_cluster`` (K, 10) clusters of samples under each, ``own_bias`` (K, 40) their logits;
-    ``other`` (K, R, 12) uint8, how much a sample is another part than the patch's own, in 15ths; ``region_bias`` (K, R)
-    of regions (``region_bias_of``)."""
+    """The skin near each of K patches at rest, as indices and weights of the body's samples.
+
+    ``own_cluster`` (K, 10): clusters of samples under the patch; ``own_bias`` (K, 40): the attention logits of their
+    samples. ``other`` (K, R, 12) uint8: how much each sample belongs to another part of the body than the patch, in
+    15ths; ``region_bias`` (K, R): the logits of the regions (``region_bias_of``).
+    """
 
     own_cluster: Array = tensor("patch_cluster", "patches", OWN_CLUSTERS, dtype="int64", unit="cluster of samples")
     own_bias: Array = tensor("patch_cluster_bias", "patches", OWN_CLUSTERS * CLUSTER_SIZE)
@@ -42,7 +45,8 @@ class PatchSkin(Tensors):
 
 
 def patch_skin(centre: np.ndarray, facing: np.ndarray, skin: Skin) -> PatchSkin:
-    """The lists of patches at rest, ``centre`` [m] (K, 3) and unit outward ``facing`` (K, 3), as numpy arrays."""
+    """Returns the skin near K patches with the centres ``centre`` [m] (K, 3) and unit outward normals ``facing`` (K, 3)
+    at rest on the body in T-pose, as numpy arrays."""
     lists = skin_lists(np.asarray(centre, dtype=np.float64), np.asarray(facing, dtype=np.float64), skin)
     other = np.rint(OTHER_STEPS * lists.other.reshape(len(centre), -1, REGION_SIZE)).astype(np.uint8)
     return PatchSkin(
@@ -54,25 +58,25 @@ def patch_skin(centre: np.ndarray, facing: np.ndarray, skin: Skin) -> PatchSkin:
 
 
 def region_bias_of(most: np.ndarray) -> np.ndarray:
-    """Returns the logits, float32, of regions, with the shape of ``most``: how much any sample of a region belongs to
-    another part than the patch's own, in 15ths.
+    """Returns the attention logits, float32, of regions, in the shape of ``most``. ``most`` is the largest number of a
+    region's samples in ``PatchSkin.other``, in 15ths.
 
-    A region without such a sample has a logit far below 0. All 16 values are rounded to two bytes here, so that all who
-    choose regions by them choose the same.
+    A region with no sample of another part has a logit far below 0. All 16 values are rounded to two bytes here, so
+    that all who choose regions by them choose the same.
     """
     return np.log(most / OTHER_STEPS + REGION_LEAST).astype(np.float16).astype(np.float32)
 
 
 def in_halves(other: np.ndarray) -> np.ndarray:
-    """Returns ``other`` (..., 12) of ``PatchSkin`` as bytes (..., 6): sample i in the low half, i + 6 in the high
-    half.
-    """
+    """Returns the 4-bit numbers ``other`` (..., 12) uint8 of ``PatchSkin`` two to a byte, (..., 6) uint8: number i in
+    the low half, i + 6 in the high half."""
     half = other.shape[-1] // 2
     return other[..., :half] | (other[..., half:] << 4)
 
 
 def from_halves(stored: Array) -> Array:
-    """Returns the numbers (..., 12) that ``in_halves`` has stored in (..., 6) bytes, as floats."""
+    """Returns the 4-bit numbers (..., 12), as floats, of the bytes ``stored`` (..., 6) that ``in_halves`` made.
+    ``stored`` must be floats too."""
     xp = namespace(stored)
     high = xp.floor(stored * (1.0 / 16.0))
     return xp.concat([stored - 16.0 * high, high], axis=-1)
@@ -80,10 +84,11 @@ def from_halves(stored: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Planes:
-    """Tangent planes of the body at n points of K patches: own part, then other parts.
+    """Tangent planes of the body at n points of each of K patches; along the axis of 2 one of the patch's own part of
+    the body, then one of other parts.
 
-    ``normal`` (F, K, 2, 3, n); ``offset`` [m] (F, K, 2, n), so that normal . x + offset is the distance of x;
-    ``share`` (F, K, 2, n) in [0, 1] of a plane that is really there.
+    ``normal`` (F, K, 2, 3, n) is of unit length; normal . x + ``offset`` [m] (F, K, 2, n) is the distance of x,
+    positive outside. ``share`` (F, K, 2, n) in [0, 1] is 0 where there is no plane (``plane_share``).
     """
 
     normal: Array
@@ -92,14 +97,16 @@ class Planes:
 
 
 def planes(points: Array, skin: Array, lists: PatchSkin) -> Planes:
-    """The planes near ``points`` [m] (F, K, n, 3) of posed patches; ``skin`` (F, R, 12, 8) of ``skin_table``."""
+    """Returns the tangent planes of the body at ``points`` [m] (F, K, n, 3) of posed patches, whose skin near by is
+    ``lists``. ``skin`` (F, R, 12, 8) is the body's ``skin_table``, in the frame of the points."""
     xp = namespace(points)
     query = xp.matrix_transpose(queries(xp.matrix_transpose(points)))
     return tangent_planes(points, _own(query, skin, lists), _other(points, query, skin, lists))
 
 
 def tangent_planes(points: Array, own: Array, other: Array) -> Planes:
-    """The planes at ``points`` from the means (F, K, n, 8) of the samples of the own part and of others."""
+    """Returns the tangent planes at ``points`` [m] (F, K, n, 3) from the means (F, K, n, 8) of samples of the ``own``
+    part and of ``other`` parts there (``field.attend``)."""
     xp = namespace(points)
     means = xp.stack([own, other], axis=2)  # (F, K, 2, n, 8)
     columns = xp.matrix_transpose(points)[:, :, None]
@@ -108,13 +115,14 @@ def tangent_planes(points: Array, own: Array, other: Array) -> Planes:
 
 
 def plane_share(found: Surface) -> Array:
-    """Returns the share, in [0, 1], to which there is a tangent plane at each place of ``found``: 0 where the samples
-    have ended or face each other, and deep inside the body."""
+    """Returns the share, in [0, 1], to which there is a tangent plane at each point of ``found``, in the shape of its
+    distance: 0 where the samples have ended or face each other, and deep inside the body."""
     return ramp(found.beside_m2, *BESIDE_M2) * ramp(found.distance, *DEEP_M) * ramp(found.agreement, *AGREEMENT)
 
 
 def body_proximity(points: Array, near: Planes) -> tuple[Array, Array]:
-    """The closeness (F, K, 2 n) of ``points`` [m] (F, K, n, 3) to the planes, and their force on them (F, K, n, 3).
+    """Returns the closeness (F, K, 2 n) of ``points`` [m] (F, K, n, 3) to the planes ``near``, and the force (F, K, n,
+    3) of the planes on them; both have no unit.
 
     Closeness is tanh((gap - distance) / 1 cm) to the own part, then to others. The force is the sum over both parts of
     (gap - distance) / 1 cm along the normal, where that is positive. Both are times the plane's share.
@@ -129,8 +137,8 @@ def body_proximity(points: Array, near: Planes) -> tuple[Array, Array]:
 
 
 def held_share(before: Array, after: Array, near: Planes) -> Array:
-    """Returns the share (F, K) of a correction that each patch takes; its points go from ``before`` to ``after`` [m]
-    (F, K, n, 3).
+    """Returns the share (F, K), in [0, 1], of a correction that each patch may take. The correction moves the patch's
+    points from ``before`` to ``after`` [m] (F, K, n, 3), which ``near`` are the tangent planes of.
 
     The share is 1 where no point comes deeper than ``HELD_M`` below a plane, and where the correction brings it out.
     Otherwise the point with the least room decides. With ``deeper`` the depth by which the correction lowers a point,
@@ -167,7 +175,9 @@ def _other(points: Array, query: Array, skin: Array, lists: PatchSkin) -> Array:
 
 
 def attend_others(query: Array, table: Array, other: Array) -> Array:
-    """Means (..., n, 8) of samples ``table`` (..., c, 8) that are another part by ``other`` (..., c) 15ths."""
+    """Returns the weighted means (..., n, 8) of the samples ``table`` (..., c, 8) for ``query`` (..., n, 8), as
+    ``field.attend`` does. ``other`` (..., c) is how much a sample belongs to another part, in 15ths; the normal is zero
+    where no sample does."""
     xp = namespace(query)
     share = xp.astype(other, query.dtype)
     means = attend(query, table, xp.log(share * (1.0 / OTHER_STEPS) + OTHER_LEAST))

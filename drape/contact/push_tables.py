@@ -15,12 +15,12 @@ from drape.errors import MeshError
 
 BLOCK_SIZE = 16  # vertices that share a list of skin samples
 GROUP_SIZE = 2  # blocks that query for other parts of the body together
-OWN_CLUSTERS = 10  # of skin samples under a block
+OWN_CLUSTERS = 10  # clusters of skin samples under a block
 OTHER_STEPS = 255
 
 OUTWARD_WIDTH_M = 0.02
 FRONT_M = (0.020, 0.035)  # a sample is another part where a block lies this far before its plane at rest
-APART_M = (0.080, 0.110)  # and where a block is that far away at rest, without the way through the limb
+APART_M = (0.080, 0.110)  # and where a block is that far away at rest, the way through the limb not counted
 THROUGH_M = 0.12  # the most that counts as the way through a limb
 OTHER_SIDE = 15.0  # logits that a sample loses per unit by which it faces away from the cloth over it
 REST_REACH_M = 0.035  # at equal distance skin nearer at rest is preferred: a logit per square of this
@@ -30,13 +30,14 @@ NEVER = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class PushTables(Tensors):
-    """Constants of V vertices in G groups of two blocks of 16, over a skin of P parts of four regions of 12 samples.
+    """The constants of a garment's V vertices in G groups of two blocks of 16, over a skin of P parts of four regions
+    of 12 samples.
 
-    ``block_vertex`` (G, 32) the vertices of a group, repeated where it is not full; ``vertex_slot`` (V,) where a
-    vertex stands in them. ``own_cluster`` (G, 2, 10): clusters of the skin that each block hangs on; ``own_bias``
-    (G, 2, 40), the logits that their samples start with. ``other`` (G, P, 48) uint8, how much a sample is another part
-    than the group's own, in 255ths, and ``region_bias`` (G, P, 4), zero for regions that have such samples and far
-    below for the others.
+    ``block_vertex`` (G, 32): the vertices in the slots of a group, repeated where it is not full; ``vertex_slot`` (V,):
+    the slot of a vertex, counted through all groups. ``own_cluster`` (G, 2, 10): the clusters of skin samples under
+    each block; ``own_bias`` (G, 2, 40): the attention logits of their samples, at most 0. ``other`` (G, P, 48) uint8:
+    how much a sample belongs to another part of the body than the group, in 255ths; ``region_bias`` (G, P, 4): the
+    logits of regions, near 0 where a sample does and far below where none does.
     """
 
     block_vertex: Array = tensor("push_block_vertex", "groups", GROUP_SIZE * BLOCK_SIZE, dtype="int32", unit="vertex")
@@ -50,9 +51,11 @@ class PushTables(Tensors):
 
 
 def push_tables(vertices: np.ndarray, skin: Samples, *, hidden: np.ndarray | None = None) -> PushTables:
-    """The tables of a garment whose ``vertices`` [m] (V, 3) lie at rest on the body in T-pose that ``skin`` samples.
+    """Returns the tables of a garment with ``vertices`` [m] (V, 3) at rest on the body in T-pose that has the samples
+    ``skin``.
 
-    Samples that are ``hidden`` (S,), by cloth over them, belong to no part.
+    ``hidden`` (S,) bool are samples under cloth, which push nothing. Raises ``MeshError`` for no vertices and for
+    numbers that are not finite.
     """
     rest = np.asarray(vertices, dtype=np.float64)
     check_shape("vertices", rest, (None, 3), error=MeshError)
@@ -64,7 +67,7 @@ def push_tables(vertices: np.ndarray, skin: Samples, *, hidden: np.ndarray | Non
     short = -len(members) % GROUP_SIZE
     members = np.concatenate([members, np.repeat(members[-1:], short, axis=0)])
     slot = np.empty(len(rest), dtype=np.int64)
-    # Written backwards: the first place of a vertex counts.
+    # Written backwards, so that the first slot of a vertex counts.
     slot[members.reshape(-1)[::-1]] = np.arange(members.size)[::-1]
     lists = skin_lists(rest[members].mean(axis=1), unit(outward[members].mean(axis=1)), skin, hidden=hidden)
     by_group = lists.other.reshape(-1, GROUP_SIZE, skin.count).mean(axis=1)
@@ -84,8 +87,9 @@ def push_tables(vertices: np.ndarray, skin: Samples, *, hidden: np.ndarray | Non
 
 @dataclass(frozen=True, eq=False)
 class SkinLists:
-    """Skin near C places: ``own_cluster`` (C, 10), ``own_bias`` (C, 40) as of ``PushTables``; ``other`` (C, S) how much
-    a sample is another part than the place's own, in [0, 1]."""
+    """The skin near C places at rest: ``own_cluster`` (C, 10), the clusters of samples under each; ``own_bias`` (C,
+    40), the attention logits of their samples; and ``other`` (C, S) in [0, 1], how much each of S samples belongs to
+    another part of the body than the place."""
 
     own_cluster: np.ndarray
     own_bias: np.ndarray
@@ -93,9 +97,10 @@ class SkinLists:
 
 
 def skin_lists(centre: np.ndarray, facing: np.ndarray, skin: Samples, *, hidden: np.ndarray | None = None) -> SkinLists:
-    """The lists of places at rest ``centre`` [m] (C, 3) with unit outward directions ``facing`` (C, 3).
+    """Returns the skin near places at ``centre`` [m] (C, 3) with unit outward directions ``facing`` (C, 3), at rest on
+    the body in T-pose with the samples ``skin``.
 
-    Samples that are ``hidden`` (S,) belong to no part.
+    ``hidden`` (S,) bool are samples under cloth: they belong to no part.
     """
     distance, before = _relation(centre, skin)
     other = other_part(distance, before)
@@ -111,7 +116,8 @@ def skin_lists(centre: np.ndarray, facing: np.ndarray, skin: Samples, *, hidden:
 
 
 def outward_directions(vertices: np.ndarray, skin: Samples) -> np.ndarray:
-    """The unit direction (V, 3) away from the body at rest: the mean normal of the skin about the nearest sample."""
+    """Returns for each of ``vertices`` [m] (V, 3) at rest the unit direction (V, 3) away from the body: the mean normal
+    of the samples ``skin`` around the nearest one."""
     distance, near = KDTree(skin.point).query(vertices, k=min(16, skin.count))
     distance, near = distance.reshape(len(vertices), -1), near.reshape(len(vertices), -1)
     weight = np.exp(-(distance**2 - distance[:, :1] ** 2) / OUTWARD_WIDTH_M**2)
@@ -119,7 +125,7 @@ def outward_directions(vertices: np.ndarray, skin: Samples) -> np.ndarray:
 
 
 def other_part(distance: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Returns how much each sample belongs to another part of the body than the cloth's own, in [0, 1], with the shape
+    """Returns how much each sample belongs to another part of the body than the cloth lies on, in [0, 1], in the shape
     of ``distance``.
 
     ``distance`` [m] is that between cloth and sample at rest; ``before`` [m] is how far the cloth lies in front of the

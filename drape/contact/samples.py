@@ -18,9 +18,9 @@ from drape.geometry import mesh_graphs, meshes
 from drape.geometry.rotations import cross_columns, dot_columns
 
 DENSE_PER_DISC = 12  # random points drawn for each sample kept
-NORMAL_REACH = 1.5  # spacings over which a sample's tangents are averaged
+NORMAL_REACH = 1.5  # in spacings: the distance over which a sample's tangents are averaged
 REGION_SIZE = 12  # samples of other parts that are looked up together
-CLUSTER_SIZE = 4  # and of the own part
+CLUSTER_SIZE = 4  # samples of the own part that are looked up together
 POSED_REGIONS = 4  # regions that are posed in one product
 
 FACING = 0.2  # cosine from which a vertex counts as facing the way of a sample
@@ -30,12 +30,13 @@ Keep = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """S samples: ``REGION_SIZE`` in a row are a region, ``CLUSTER_SIZE`` of these a cluster; S makes whole parts of
-    ``POSED_REGIONS`` regions.
+    """S samples of a mesh of V vertices. ``CLUSTER_SIZE`` in a row are a cluster, ``REGION_SIZE`` in a row a region;
+    there are whole parts of ``POSED_REGIONS`` regions.
 
-    ``operator`` sparse (3 S, V): the mesh's vertices times its first S rows are the points, times the next S the first
-    tangents, times the last S the second ones; their cross product points outwards. ``point``, ``normal`` (S, 3) of the
-    mesh at rest; ``spacing_m`` (S,) to the neighbouring samples.
+    ``operator`` sparse (3 S, V): its first S rows times the mesh's vertices are the points, the next S rows give the
+    first tangents, the last S rows the second ones; the cross product of the two points outwards. ``point`` [m] and
+    unit ``normal`` (S, 3) are those of the mesh at rest; ``spacing_m`` (S,) is about the distance to neighbouring
+    samples.
     """
 
     operator: scipy.sparse.csr_matrix
@@ -52,7 +53,8 @@ class Samples:
         return self.count // REGION_SIZE
 
     def posed(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points [m] and unit normals (F, S, 3) on the mesh posed to ``vertices`` (F, V, 3)."""
+        """Returns the points [m] and unit outward normals (F, S, 3) of the samples on the mesh with ``vertices`` [m]
+        (F, V, 3), in their frame. Raises ``InputError`` for other shapes."""
         sources = self.operator.get_shape()[1]
         check_shape("vertices", vertices, (None, sources, 3), error=InputError)
         # One product for all frames: the operator is read once.
@@ -63,7 +65,7 @@ class Samples:
         return np.ascontiguousarray(point), np.ascontiguousarray(normal)
 
     def of_regions(self, regions: np.ndarray) -> Samples:
-        """The samples of ``regions`` (n,) alone, in that order."""
+        """Returns the samples of the regions with the numbers ``regions`` (n,) alone, in that order."""
         kept = (REGION_SIZE * np.asarray(regions)[:, None] + np.arange(REGION_SIZE)).reshape(-1)
         rows = (self.count * np.arange(3)[:, None] + kept).reshape(-1)
         chosen = scipy.sparse.csr_matrix(self.operator[rows])
@@ -71,9 +73,11 @@ class Samples:
 
 
 class Placed(NamedTuple):
-    """S samples at rest, on the triangles ``face`` (S,) with barycentric ``weight`` (S, 3).
+    """S places on a mesh at rest, in regions and clusters as those of ``Samples``: on the triangles ``face`` (S,) with
+    the barycentric ``weight`` (S, 3).
 
-    Their ``point`` [m] and unit ``normal`` (S, 3), and the ``spacing_m`` (S,) to their neighbours.
+    ``point`` [m] and unit ``normal`` (S, 3) are those of the places; ``spacing_m`` (S,) is the wanted distance to
+    neighbours.
     """
 
     face: np.ndarray
@@ -86,9 +90,10 @@ class Placed(NamedTuple):
 def place(
     rest: np.ndarray, faces: np.ndarray, spacing: np.ndarray, *, keep: Keep | None = None, seed: int = 0
 ) -> Placed:
-    """Samples ``spacing`` [m] (V,) apart on the mesh ``rest`` [m] (V, 3), in regions and clusters; always the same.
+    """Returns places about ``spacing`` [m] (V,) apart on the mesh ``rest`` [m] (V, 3), ``faces`` (F, 3). The same
+    ``seed`` gives the same places.
 
-    ``keep(points, normals, face, weight)`` says which of the points (n, 3) are to stay.
+    ``keep(points, normals, face, weight)`` returns which of n places stay, bool (n,); left out, all do.
     """
     normals = meshes.vertex_normals(rest, faces)
     face, weight = _spread(rest, faces, spacing, np.random.default_rng(seed))
@@ -101,15 +106,15 @@ def place(
     regions = blocks(point, normal, REGION_SIZE)
     order = np.concatenate([region[blocks(point[region], normal[region], CLUSTER_SIZE)] for region in regions])
     order = order.reshape(-1)
-    # Whole products: the last region again, which changes no mean by more than its weight.
+    # The last region fills up the last part. It counts twice, which changes a mean by its weight at most.
     short = -(len(order) // REGION_SIZE) % POSED_REGIONS
     order = np.concatenate([order, np.tile(order[-REGION_SIZE:], short)])
     return Placed(face[order], weight[order], point[order], normal[order], own[order])
 
 
 def at_rest(operator: scipy.sparse.csr_matrix, rest: np.ndarray, placed: Placed) -> Samples:
-    """Returns the samples that were ``placed`` on the mesh ``rest`` [m] (V, 3), with the points and normals that
-    ``operator`` gives."""
+    """Returns the samples at the places ``placed`` of the mesh ``rest`` [m] (V, 3). Their points and normals are those
+    that ``operator`` (3 S, V) gives."""
     template = operator @ rest
     count = len(placed.point)
     smooth = np.asarray(unit_cross(template[count : 2 * count].T, template[2 * count :].T)).T
@@ -117,13 +122,14 @@ def at_rest(operator: scipy.sparse.csr_matrix, rest: np.ndarray, placed: Placed)
 
 
 def sample_table(point: Array, normal: Array) -> Array:
-    """Rows (..., n, 8) of samples (..., n, 3) as the field reads them: point b, b . b, normal n, n . b."""
+    """Returns the rows (..., n, 8) of samples that ``field.attend`` takes: point b [m], b . b, unit normal n, n . b.
+    ``point`` and ``normal`` are (..., n, 3)."""
     xp = namespace(point)
     return table_of_columns(xp.matrix_transpose(point), xp.matrix_transpose(normal))
 
 
 def table_of_columns(point: Array, normal: Array) -> Array:
-    """Returns ``sample_table`` (..., n, 8) of points and normals given coordinates first (..., 3, n)."""
+    """Returns ``sample_table`` (..., n, 8) for ``point`` and ``normal`` with the coordinates first, (..., 3, n)."""
     xp = namespace(point)
     square, across = dot_columns(point, point), dot_columns(point, normal)
     columns = xp.concat([point, square, normal, across], axis=-2)
@@ -131,14 +137,16 @@ def table_of_columns(point: Array, normal: Array) -> Array:
 
 
 def region_centres(skin: Array) -> Array:
-    """Mean points [m] (F, R, 3) of the regions of ``skin`` (F, R, 12, 8), as one product with a constant matrix."""
+    """Returns the mean points [m] (F, R, 3) of the regions of ``skin`` (F, R, 12, 8), by one product with a constant
+    matrix."""
     xp = namespace(skin)
     mean = [[(axis == entry) / REGION_SIZE for axis in range(3)] for _ in range(REGION_SIZE) for entry in range(8)]
     return xp.reshape(skin, (*skin.shape[:2], 8 * REGION_SIZE)) @ like(skin, mean)
 
 
 def unit_cross(first: Array, second: Array) -> Array:
-    """The unit vectors across ``first`` and ``second`` (..., 3, n), coordinates first; zero where parallel."""
+    """Returns the unit vectors (..., 3, n) along the cross product of ``first`` and ``second`` (..., 3, n); zero where
+    these are parallel."""
     xp = namespace(first)
     across = cross_columns(first, second)
     # Tangents have length one at rest; a fold of the skin makes them nearly parallel and the normal short.
@@ -163,12 +171,13 @@ def _spread(
     # The two sides of a thin part are far apart along the skin: distance counts double across normals.
     normal = meshes.face_normals(rest, faces)[face]
     key = np.concatenate([point, 0.5 * radius.min(initial=1.0) * normal], axis=1)
-    kept = thinned(key, radius)
+    kept = thin_points(key, radius)
     return face[kept], weight[kept]
 
 
-def thinned(points: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Indices of the ``points`` (n, d) kept, in their order: none lies within ``radius`` (n,) of one before."""
+def thin_points(points: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Returns the indices of those ``points`` (n, d) that are kept, ascending: a point within the ``radius`` (n,) of a
+    kept one before it is dropped."""
     tree, alive, kept = KDTree(points), np.ones(len(points), dtype=bool), []
     for index in range(len(points)):
         if alive[index]:
@@ -178,8 +187,8 @@ def thinned(points: np.ndarray, radius: np.ndarray) -> np.ndarray:
 
 
 def ring_operator(rest: np.ndarray, faces: np.ndarray, placed: Placed) -> scipy.sparse.csr_matrix:
-    """Returns an ``operator`` of ``Samples`` whose tangents are sums over all vertices near a sample that face its
-    way."""
+    """Returns ``Samples.operator`` (3 S, V) of the places ``placed`` on the mesh ``rest`` [m] (V, 3), ``faces`` (F, 3).
+    A tangent is a weighted sum over all vertices near the sample that face its way."""
     count, vertex_count = len(placed.point), len(rest)
     normals = meshes.vertex_normals(rest, faces)
     around = KDTree(rest).query_ball_point(placed.point, NORMAL_REACH * placed.spacing_m)
@@ -200,10 +209,11 @@ def ring_operator(rest: np.ndarray, faces: np.ndarray, placed: Placed) -> scipy.
 def operator(
     rest: np.ndarray, faces: np.ndarray, placed: Placed, sample: np.ndarray, near: np.ndarray
 ) -> scipy.sparse.csr_matrix:
-    """Returns ``Samples.operator``: the point by its barycentric weights, the tangents by a local least-squares plane.
+    """Returns ``Samples.operator`` (3 S, V) of the places ``placed`` on the mesh ``rest`` [m] (V, 3), ``faces`` (F, 3):
+    a point by its barycentric weights, tangents by a local least-squares plane.
 
-    A plane goes through the vertices ``near`` (n,) of its ``sample`` (n,), which are sorted and have the corners of the
-    sample's face.
+    The plane of sample ``sample[i]`` goes through the vertex ``near[i]``, both (n,) sorted; the corners of the sample's
+    face must be among its vertices.
     """
     count = len(placed.point)
     first, second = _tangents(placed.normal)

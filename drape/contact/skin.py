@@ -36,19 +36,19 @@ from drape.errors import BodyError
 from drape.geometry import closest
 
 SPACING_LIMITS_M = (0.012, 0.020)
-SPACING_PER_RADIUS = 0.55  # a limb has eleven samples around it, whatever its thickness, within the limits
+SPACING_PER_RADIUS = 0.55  # so a limb of any thickness has eleven samples around it, within the limits
 HEAD_SPACING_M, FOOT_SPACING_M = 0.025, 0.014  # a heel and the edge of a sole turn within a centimetre or two
 HEAD = JOINT_NAMES.index("head")
 FEET = tuple(i for i, name in enumerate(JOINT_NAMES) if name.endswith(("ankle", "foot")))
 
 
 class Skin(Samples):
-    """Samples of a body's skin in T-pose."""
+    """The samples of a body's skin in T-pose."""
 
     def on_bones(self, body: BodyModel, betas: np.ndarray | None = None) -> SkinOnBones:
-        """The samples as sums over bones, for the shape ``betas``.
+        """Returns the samples of ``body`` in the shape ``betas`` (S,) as weighted sums over bones.
 
-        Refuses (``BodyError``) a body with pose blend shapes, which bones alone do not carry.
+        Raises ``BodyError`` for a body with pose blend shapes, which bones alone do not carry.
         """
         if body.posedirs is not None:
             raise BodyError(
@@ -73,11 +73,10 @@ class Skin(Samples):
 
 @dataclass(frozen=True, eq=False)
 class SkinOnBones(Tensors):
-    """Samples of the skin as products with bone transforms, in P parts of 4 regions, for one shape of a linearly
-    skinned body.
+    """The samples of a linearly skinned body of one shape as products with bone transforms, in P parts of 4 regions.
 
-    ``rows`` (P, n, 4, 144) give 48 points, 48 first and 48 second tangents of a part as sums over its n ``bones`` (P,
-    n), of each of which they take x, y, z and 1.
+    The samples of part p are moved by its n ``bones`` (P, n) alone. ``rows`` (P, n, 4, 144) are their factors with the
+    bone's rotation (first three) and translation (last one): for 48 points, 48 first and 48 second tangents.
     """
 
     rows: Array = tensor("skin_rows", "parts", "part_bones", 4, 3 * POSED_REGIONS * REGION_SIZE, unit="m or 1")
@@ -85,9 +84,9 @@ class SkinOnBones(Tensors):
 
 
 class ShapedSkin:
-    """The samples of ``body`` in any shape at once: rows over bones are linear in its shape components.
+    """The samples of ``body`` as ``SkinOnBones`` in any shape: the rows are linear in the shape components.
 
-    The first ``counts`` (P,) of the bones of each part move it; the rest fill its rows up with zeros.
+    Of the bones of each part the first ``counts`` (P,) move it; the others have rows of zeros.
     """
 
     def __init__(self, body: BodyModel) -> None:
@@ -100,17 +99,19 @@ class ShapedSkin:
         self.counts = self.rows.any(axis=(0, 3, 4)).sum(axis=1).astype(np.int32)
 
     def of(self, betas: np.ndarray) -> np.ndarray:
-        """Rows (U, P, n, 4, 144) float32 of bodies of the shapes ``betas`` (U, >= shapes)."""
+        """Returns ``SkinOnBones.rows`` of each of U shapes, (U, P, n, 4, 144) float32. ``betas`` (U, >= shapes) may
+        have more numbers than the body has shapes."""
         return self.rows[0] + np.tensordot(betas[:, : len(self.rows) - 1].astype(np.float32), self.rows[1:], axes=1)
 
     def table(self, rotations: np.ndarray, translations: np.ndarray, betas: np.ndarray) -> np.ndarray:
-        """Returns ``skin_table`` (F, R, 12, 8) float32 of F bodies of shapes ``betas`` (F, >= shapes)."""
+        """Returns the samples of F posed bodies as ``skin_table`` (F, R, 12, 8) float32, for bone ``rotations`` (F, 24,
+        3, 3), ``translations`` [m] (F, 24, 3) and shapes ``betas`` (F, >= shapes)."""
         rotations, translations = rotations.astype(np.float32), translations.astype(np.float32)
         shaped = np.asarray(betas.any(axis=1))
         plain = skin_table(self.rows[0], self.bones, rotations[~shaped], translations[~shaped])
         if not shaped.any():
             return plain
-        # Rows of a shape are ten times what a frame needs: only of those that have one.
+        # Rows of a shape are ten times what a frame needs, so they are computed only for bodies that have one.
         found = np.empty((len(shaped), *plain.shape[1:]), dtype=plain.dtype)
         found[~shaped] = plain
         found[shaped] = skin_table(self.of(betas[shaped]), self.bones, rotations[shaped], translations[shaped])
@@ -118,20 +119,21 @@ class ShapedSkin:
 
 
 def skin_table(rows: Array, bones: Array, rotations: Array, translations: Array) -> Array:
-    """The table (F, R, 12, 8) of ``sample_table`` from ``SkinOnBones`` and transforms (F, 24, 3, 3), (F, 24, 3).
+    """Returns the rows of ``sample_table`` by region, (F, R, 12, 8), of bodies posed by bone ``rotations`` (F, 24, 3,
+    3) and ``translations`` [m] (F, 24, 3), in the frame of these.
 
-    ``rows`` may have an axis of frames before its own.
+    ``rows`` and ``bones`` are those of ``SkinOnBones``; ``rows`` may have an axis of frames before its own.
     """
     xp = namespace(rows)
     stacked = xp.concat([rotations, translations[..., None]], axis=-1)  # (F, 24, 3, 4)
     parts, count = bones.shape
     by_axis = xp.reshape(xp.permute_dims(stacked, (0, 2, 1, 3)), (-1, JOINT_COUNT, 4))
     taken = take(by_axis, xp.reshape(bones, (-1,)), axis=1)
-    # Three rows times many columns: the shape that products of small matrices are fast in.
+    # Three rows times many columns, because products of small matrices are fast in this shape.
     width, size = 4 * count, POSED_REGIONS * REGION_SIZE
     of_parts = xp.permute_dims(xp.reshape(taken, (-1, 3, parts, width)), (0, 2, 1, 3))
     posed = of_parts @ xp.reshape(rows, (-1, parts, width, 3 * size))
-    # All samples of a kind side by side: the operations that follow run along three rows of thousands.
+    # All samples of a kind lie side by side, so that the operations below run along three rows of thousands.
     kinds = xp.permute_dims(xp.reshape(posed, (-1, parts, 3, 3, size)), (0, 3, 2, 1, 4))
     point, first, second = (xp.reshape(kinds[:, k], (-1, 3, parts * size)) for k in range(3))
     table = table_of_columns(point, unit_cross(first, second))
@@ -139,9 +141,10 @@ def skin_table(rows: Array, bones: Array, rotations: Array, translations: Array)
 
 
 def posed_table(body: BodyModel, poses: np.ndarray, betas: np.ndarray) -> np.ndarray:
-    """The table (F, R, 12, 8) float32 of ``sample_table`` for ``poses`` (F, 24, 3) [rad] and one shape ``betas``.
+    """Returns the rows of ``sample_table`` by region, (F, R, 12, 8) float32, of ``body`` in ``poses`` (F, 24, 3) [rad]
+    and the shape ``betas`` (S,), relative to the root joint's rest place.
 
-    Relative to the root, and of the posed vertices: of bodies with pose blend shapes too.
+    It is computed from posed vertices, so it holds for bodies with pose blend shapes too.
     """
     skin = body_skin(body)
     posed = body.posed_vertices(poses, None, betas) - body.rest_joints(betas)[0]
@@ -156,23 +159,24 @@ MOST_KEPT = 4  # two of each body, 20 MB together
 
 
 def body_skin(body: BodyModel) -> Skin:
-    """The samples of ``body``, kept between calls."""
+    """Returns the samples of ``body``, kept between calls."""
     return _kept("skin", body, skin_samples)
 
 
 def shaped_skin(body: BodyModel) -> ShapedSkin:
-    """The ``ShapedSkin`` of ``body``, kept between calls."""
+    """Returns the samples of ``body`` in any shape, kept between calls. Raises ``BodyError`` as ``Skin.on_bones``
+    does."""
     return _kept("shaped", body, ShapedSkin)
 
 
 def skins(body: BodyModel) -> tuple[Skin, ShapedSkin]:
-    """Returns ``body_skin`` and ``shaped_skin`` of ``body``, its pose blend shapes left out."""
+    """Returns ``body_skin`` of ``body``, and ``shaped_skin`` of it without its pose blend shapes."""
     return body_skin(body), shaped_skin(replace(body, posedirs=None))
 
 
 def keep_skins(body: BodyModel, make: Callable[..., Any]) -> None:
-    """Computes the ``skins`` of ``body`` by ``make``, which calls a function elsewhere, and keeps them for later
-    calls."""
+    """Keeps the ``skins`` of ``body`` for later calls, if they are not kept yet. ``make(skins, body)`` computes them,
+    maybe in another process."""
     kinds = "skin", "shaped"
     if any((kind, body.digest) not in _KEPT for kind in kinds):
         for kind, skin in zip(kinds, make(skins, body), strict=True):
@@ -196,7 +200,7 @@ def _keep(kind: str, body: BodyModel, skin: Made) -> Made:
 
 
 def skin_samples(body: BodyModel, *, seed: int = 0) -> Skin:
-    """Samples of ``body`` in T-pose; the same every time for one ``seed``. Takes half a second."""
+    """Returns the samples of ``body`` in T-pose; the same every time for one ``seed``. It takes half a second."""
     rest, faces = body.v_template, body.faces
     spacing = np.clip(SPACING_PER_RADIUS * limb_radius(body), *SPACING_LIMITS_M)
     spacing[body.weights[:, HEAD] > 0.5] = HEAD_SPACING_M
@@ -212,7 +216,8 @@ def skin_samples(body: BodyModel, *, seed: int = 0) -> Skin:
 
 
 def limb_radius(body: BodyModel) -> np.ndarray:
-    """Distance [m] (Vb,) of each vertex of the template to the axis of the bone that moves it most."""
+    """Returns the distance [m] (Vb,) of each vertex of the body's template from the axis of the bone that moves it
+    most."""
     joints, rest = body.joints_template, body.v_template
     bone = body.weights.argmax(axis=1)
     radius = np.empty(len(rest))

@@ -20,24 +20,31 @@ import numpy as np
 from drape.cloth.contact import BodyContact
 from drape.engine.calls import call, call_with_scratch
 from drape.exact import hessian, newton
-from drape.exact.newton import Band, Cloth, Found
+from drape.exact.newton import Band, Cloth
+from drape.exact.settling import State
 from drape.geometry import meshes
 from drape.geometry.triangle_pairs import pairs_within
 
 REACH_M = 0.002  # distance at which cloth feels cloth: about two layers of it
 NEAR_M = 0.009  # distance up to which pairs are looked at
-STEP_M = 0.5 * (NEAR_M - REACH_M)  # the most that a vertex moves: what is not looked at stays out of reach
-SHARE = 0.45  # of the distance to what is nearest, in a sweep: two that come towards each other do not meet
-# A step that may go by less than ``ENOUGH`` yields, and slows down where that is too little, ``BENDS`` times at most.
-# Pairs nearer than the first of its distances come no nearer, and open by the second: carried cloth has no energy that
-# would keep it away from the floor.
+STEP_M = 0.5 * (NEAR_M - REACH_M)  # the most that a vertex moves: other pairs stay out of reach
+SHARE = 0.45  # of the distance to the nearest pair that a sweep may go: two that approach each other do not meet
+# A step of which less than the share ENOUGH is free yields (``yield_to``), and slows down where that is too little,
+# BENDS times at most. PRESSED_M and CARRIED_M are the distances that it wants, under forces and without: cloth that is
+# carried has no energy that would keep it away from other cloth.
 ENOUGH, BENDS = 0.5, 3
 PRESSED_M, CARRIED_M = (1e-4, 0.0), (5e-4, 1e-4)
-STIFFNESS = 1.0 / 6.0  # of the body's contact at a mean vertex: k, per pair; b'' at half of the reach is 6.4 k
+# The barrier's stiffness k of a pair, as a share of the body's contact at a mean vertex; at half of the reach its
+# second derivative is 6.4 k.
+STIFFNESS = 1.0 / 6.0
 
 
 def push_apart(x: np.ndarray, corner: np.ndarray, triangles: int, n_per_m: float, gradient: np.ndarray) -> float:
-    """The energy [J] of the barrier of stiffness ``n_per_m``; its gradient [N] is added to ``gradient`` (V, 3)."""
+    """Returns the barrier's energy [J] for vertices ``x`` [m] (V, 3), and adds its gradient [N] to ``gradient`` (V, 3).
+
+    ``corner`` (N, 4) are the corners of pairs that are near: the first ``triangles`` pairs are of a vertex and a
+    triangle, the others of two edges. ``n_per_m`` [N/m] is the barrier's stiffness.
+    """
     energy = np.empty(1)
     call("push_apart", np.float64, x, corner, len(corner), triangles, REACH_M, n_per_m, gradient, energy)
     return float(energy[0])
@@ -46,28 +53,33 @@ def push_apart(x: np.ndarray, corner: np.ndarray, triangles: int, n_per_m: float
 def add_curvature(
     x: np.ndarray, corner: np.ndarray, triangles: int, n_per_m: float, place: np.ndarray, blocks: np.ndarray
 ) -> None:
-    """Adds the positive part of the barrier's Hessian [N/m] to ``blocks`` (N, 3, 3); pair n has its own at ``place[n]``
-    (4, 4)."""
+    """Adds the positive part of the barrier's Hessian [N/m] to ``blocks`` (N, 3, 3). The corners i and j of pair n have
+    the block ``place[n, i, j]``; the other arguments are those of ``push_apart``."""
     call("add_curvature", np.float64, x, corner, len(corner), triangles, REACH_M, n_per_m, place, blocks)
 
 
 def free_shares(x: np.ndarray, step: np.ndarray, corner: np.ndarray, triangles: int, share: np.ndarray) -> float:
-    """Writes to ``share`` (V,) how much of ``step`` [m] (V, 3) each vertex may go, at most 1; returns the least.
+    """Writes to ``share`` (V,) which share of its ``step`` [m] (V, 3) each vertex may go, in [0, 1], and returns the
+    least.
 
-    If all go by the least, every pair keeps at least a fifth of its distance on all of the way.
+    If all vertices go by the least, every pair keeps at least a fifth of its distance on all of the way. Pairs are
+    those of ``push_apart``.
     """
     call("free_shares", np.float64, x, len(x), step, corner, len(corner), triangles, share)
     return float(share.min())
 
 
 def yield_to(x: np.ndarray, step: np.ndarray, corner: np.ndarray, triangles: int, wanted: tuple[float, float]) -> None:
-    """Bends ``step`` [m] (V, 3) until, to first order, every pair keeps a fifth of its distance, and where it is nearer
-    than the first of ``wanted`` [m] gains the second: projections onto one pair after the other."""
+    """Changes ``step`` [m] (V, 3) in place until, to first order, every pair keeps a fifth of its distance. A pair
+    nearer than the first of ``wanted`` [m] gains the second in distance.
+
+    The step is projected onto one pair after the other. Pairs are those of ``push_apart``.
+    """
     call_with_scratch("yield_to", np.float64, x, step, corner, len(corner), triangles, *wanted)
 
 
 class ApartDescent(newton.Descent):
-    """A descent that keeps the cloth apart from itself."""
+    """A descent in which the cloth passes nowhere through itself, if it does not in the start."""
 
     def __init__(
         self, cloth: Cloth, contact: BodyContact, posed: np.ndarray, start: np.ndarray, **springs: Band | None
@@ -96,19 +108,20 @@ class ApartDescent(newton.Descent):
         """The pairs that push, and how many of them are of a vertex and a triangle."""
         return self._pairs.corner[self._pushed], int((self._pushed < self._pairs.triangles).sum())
 
-    def found(self, x: np.ndarray) -> Found:
-        there = super().found(x)
-        return there._replace(energy=there.energy + push_apart(x, *self._pairs, self._stiffness, there.force))
+    def evaluate(self, x: np.ndarray) -> State:
+        there = super().evaluate(x)
+        return there._replace(energy=there.energy + push_apart(x, *self._pairs, self._stiffness, there.gradient))
 
-    def _take(self, there: Found) -> None:
+    def _take(self, there: State) -> None:
         self._look(there.x)
         super()._take(there)
 
     def go(self, step: np.ndarray) -> None:
-        """Moves by as much of ``step`` [m] (V, 3) as lets nothing pass through anything, whatever its energy."""
+        """Moves the cloth by as much of ``step`` [m] (V, 3) as lets nothing pass through anything, even if its energy
+        rises."""
         x = self.now.x + self._free(self._yielded(_short(step), CARRIED_M))
         self._look(x)
-        self.now = self.best = self.found(x)
+        self.now = self.best = self.evaluate(x)
 
     def _yielded(self, step: np.ndarray, wanted: tuple[float, float]) -> np.ndarray:
         bent = step.copy()

@@ -16,15 +16,15 @@ from scipy.spatial import KDTree
 from drape.cloth.contact import BodyContact
 from drape.engine.calls import call_with_scratch
 
-REACH_M = 0.04  # points of the skin farther away are not blended, unless contact reaches nearly as far
-REACH_GAPS = 1.25  # then so many times as far as contact
-BEHIND = -0.2  # cosine between a plane's normal and the way to a point beyond reach, below which that is inside
-FAR_M = 0.02  # a point asks for what is nearest again when it has moved by so much
-TINY = 1e-12  # the length of a normal that is none
+REACH_M = 0.04  # points of the skin within this distance are blended
+REACH_GAPS = 1.25  # or within so many times the distance at which contact begins, if that is more
+BEHIND = -0.2  # a point beyond reach is inside if the way to it and the plane's normal have a smaller cosine
+FAR_M = 0.02  # a point that has moved so far looks for the nearest skin again
+TINY = 1e-12  # keeps the sum of two opposite normals from dividing by zero
 
 
 class BlendedPlanes:
-    """Planes under moving points. At its point a plane has the blended distance and its gradient.
+    """The planes of a body under a number of moving points. The plane of a point gives the blended distance there.
 
     A point with no skin within reach takes the plane of what is nearest if it lies behind it. Otherwise it takes a
     plane that it does not touch: beside hands and feet a plane from decimetres away cuts through free space. A point
@@ -37,16 +37,17 @@ class BlendedPlanes:
         self._skin = np.ascontiguousarray(point, dtype=np.float64), np.ascontiguousarray(normal, dtype=np.float64)
         self._tree = KDTree(point)
         self._asked = np.full((point_count, 3), np.inf)  # where the nearest point of the skin was looked up
-        self._free = np.zeros(point_count, dtype=bool)  # so far outside there that nothing is touched within FAR_M
+        self._free = np.zeros(point_count, dtype=bool)  # it touches nothing within FAR_M of there
         self._beyond = np.zeros(point_count, dtype=bool)  # no skin is within reach
         self._blended = np.full((point_count, 3), np.inf)  # where the blend was
-        self._clear = np.zeros(point_count)  # how far from there it cannot touch
+        self._clear = np.zeros(point_count)  # how far from there it can touch nothing
         self._point, self._normal = np.zeros((point_count, 3)), np.zeros((point_count, 3))
         self._bend = np.zeros((point_count, 3, 3))
 
     @classmethod
     def of_body(cls, contact: BodyContact, posed: np.ndarray, point_count: int, gap_m: float) -> BlendedPlanes:
-        """Returns the planes of a ``posed`` body (Vb, 3) [m], of the skin that takes part in ``contact``."""
+        """Returns the planes of the body with the vertices ``posed`` [m] (Vb, 3) under ``point_count`` points. Only the
+        skin that takes part in ``contact`` counts, and contact begins at ``gap_m`` [m]."""
         chosen = slice(None) if contact.vertices is None else contact.vertices
         normal = np.asarray(contact.normals(posed))
         middle, across = posed[contact.edges].mean(axis=1), normal[contact.edges].sum(axis=1)
@@ -55,7 +56,8 @@ class BlendedPlanes:
         return cls(points, normals, point_count, gap_m)
 
     def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Point [m], normal (V, 3) and second derivatives [1/m] (V, 3, 3) under ``x`` [m] (V, 3).
+        """Returns the planes under ``x`` [m] (V, 3): a point [m] and a normal of each, (V, 3), and the second
+        derivatives [1/m] (V, 3, 3) of the distance.
 
         A normal is the gradient of the distance, not quite of unit length.
         """
@@ -77,9 +79,10 @@ class BlendedPlanes:
 def blended_distance(
     points: np.ndarray, contact: BodyContact, body_vertices: np.ndarray, *, gap_m: float
 ) -> np.ndarray:
-    """Blended distances [m] (F, V) of ``points`` (F, V, 3) to the posed bodies ``body_vertices`` (F, Vb, 3).
+    """Returns the blended distances [m] (F, V) of ``points`` [m] (F, V, 3) from the posed bodies ``body_vertices`` [m]
+    (F, Vb, 3), positive outside.
 
-    They serve a contact layer of ``gap_m``: a point outside and beyond reach has some distance past the gap.
+    They are exact within a contact layer of ``gap_m`` [m]; a point farther outside has some distance past the gap.
     """
     distances = np.empty(points.shape[:2])
     for frame, posed in enumerate(body_vertices):

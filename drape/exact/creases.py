@@ -16,12 +16,12 @@ from drape.exact.blended_planes import BlendedPlanes
 from drape.geometry import meshes
 from drape.geometry.triangle_pairs import crossing_pairs
 
-ROOM_M = 0.006  # of cloth on either side: skins nearer than twice this have none between them
-PUSHES = 3  # of a point along the plane that it is under
+ROOM_M = 0.006  # what cloth needs on either side: between skins nearer than twice this there is none
+PUSHES = 3  # steps of a point along the normal of the plane above it
 
 
-def outside(contact: BodyContact, posed: np.ndarray) -> BodyContact:
-    """Returns ``contact`` with the ``posed`` body (Vb, 3) [m] without the skin that lies in creases."""
+def without_creases(contact: BodyContact, posed: np.ndarray) -> BodyContact:
+    """Returns ``contact`` without the vertices that lie in creases of the ``posed`` body [m] (Vb, 3)."""
     hidden = hidden_skin(posed + ROOM_M * np.asarray(contact.normals(posed)), contact.faces)
     taking_part = (
         np.ones(len(posed), bool) if contact.vertices is None else np.isin(np.arange(len(posed)), contact.vertices)
@@ -30,7 +30,8 @@ def outside(contact: BodyContact, posed: np.ndarray) -> BodyContact:
 
 
 def hidden_skin(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Whether each vertex of a closed surface ``x`` [m] (V, 3) lies in a part of it that is inside another one, (V,).
+    """Returns which vertices of a closed surface ``x`` [m] (V, 3) lie in a part of it that is inside another part, bool
+    (V,).
 
     The curves along which ``faces`` (F, 3) cross cut a surface into pieces; all but the largest of each are hidden.
     """
@@ -41,7 +42,7 @@ def hidden_skin(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
     size = np.bincount(piece)[piece] * ~cut
     largest = np.zeros(whole.max() + 1, piece.dtype)
     order = np.argsort(size, kind="stable")
-    largest[whole[order]] = piece[order]  # the last one written is of the largest
+    largest[whole[order]] = piece[order]  # sizes ascend, so the last one written is the largest
     return ~cut & (piece != largest[whole])
 
 
@@ -51,8 +52,9 @@ def _pieces(edges: np.ndarray, count: int) -> np.ndarray:
     return connected_components(graph, directed=False)[1]
 
 
-def out_of(contact: BodyContact, posed: np.ndarray, x: np.ndarray, gap_m: float) -> np.ndarray:
-    """Points ``x`` [m] (V, 3), those in the ``posed`` body (Vb, 3) moved out by half of ``gap_m``."""
+def move_out(contact: BodyContact, posed: np.ndarray, x: np.ndarray, gap_m: float) -> np.ndarray:
+    """Returns the points ``x`` [m] (V, 3), those nearer to the ``posed`` body [m] (Vb, 3) than half of ``gap_m`` [m]
+    moved out to that distance."""
     planes, x = BlendedPlanes.of_body(contact, posed, len(x), gap_m), x.copy()
     for _ in range(PUSHES):
         point, normal, _ = planes(x)

@@ -14,22 +14,24 @@ from drape.exact.surroundings import Around
 
 
 def energy_and_gradient(x: np.ndarray, problem: Problem, around: Around, gradient: np.ndarray) -> float:
-    """Energy [J] at ``x`` [m] (V, 3); its gradient [N] is written to ``gradient`` (V, 3)."""
+    """Returns the energy [J] of the cloth ``problem`` at ``x`` [m] (V, 3) in the surroundings ``around``, and writes
+    its gradient [N] to ``gradient`` (V, 3)."""
     energy = np.empty(1)
     call("energy", np.float64, x, problem, around, gradient, energy)
     return float(energy[0])
 
 
 def sweep(x: np.ndarray, problem: Problem, around: Around, guarded: bool, order: np.ndarray | None = None) -> None:
-    """One sweep of vertex block descent over ``x`` [m] (V, 3), in place; bending by hinges.
+    """Moves the vertices ``x`` [m] (V, 3) in place by one sweep of vertex block descent.
 
-    ``guarded``: a vertex whose step does not lower the energy halves it, and stays after six halvings. The vertices are
-    swept in their ``order`` (n,) int32, all of them colour by colour where there is none.
+    ``guarded``: a vertex whose step does not lower the energy halves it, and stays after six halvings. ``order`` (n,)
+    int32 are the vertices that are swept, one after the other; left out, all are, colour by colour.
     """
     order = problem.order if order is None else order
     call("sweep", np.float64, x, problem, around, order, len(order), guarded)
 
 
 def diagonal_blocks(x: np.ndarray, problem: Problem, around: Around, blocks: np.ndarray) -> None:
-    """Writes the positive Hessian ``blocks`` [N/m] (V, 3, 3) with which ``sweep`` moves the vertices."""
+    """Writes to ``blocks`` [N/m] (V, 3, 3) the positive definite Hessian of each vertex by its own place, with which
+    ``sweep`` moves it."""
     call("diagonal", np.float64, x, problem, around, blocks)

@@ -22,20 +22,22 @@ from drape.cloth.waistband import STIFFNESS_N_M2, Waistband, waistband
 from drape.errors import MeshError
 from drape.exact import apart, newton
 from drape.exact.linear import Charts
-from drape.exact.newton import TOLERANCE, Band, Cloth, Found
-from drape.exact.path import Body, drawn_to, followed, led
+from drape.exact.newton import TOLERANCE, Band, Cloth
+from drape.exact.path import Body, draw_to, follow, lead
+from drape.exact.settling import State
 from drape.garment.cache import Garment
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.geometry.triangle_pairs import crossing_pairs
 
-STEPS = 400  # of Newton's method, at most
+STEPS = 400  # the most steps of Newton's method
 
 
 @dataclass(frozen=True, eq=False)
 class ExactCloth:
-    """A garment's ``cloth`` with its triangles (F, 3) over a ``body``, and its waistband, if shoulders do not hold it.
+    """A garment of V vertices on a body of one shape: the constants of all frames of its clips.
 
-    ``rest`` [m] (V, 3) is a drape of the T-pose; all places count from the root joint.
+    ``faces`` (F, 3) are its triangles, ``contact`` the body's skin, ``waist`` the waistband, None if shoulders hold the
+    garment. ``rest`` [m] (V, 3) is a drape of the T-pose. All places count from the root joint.
     """
 
     cloth: Cloth
@@ -49,8 +51,8 @@ class ExactCloth:
     def of(cls, garment: Garment, fabric: Fabric, model: BodyModel, betas: np.ndarray, rest: np.ndarray) -> ExactCloth:
         """Returns the constants of ``garment``, made of ``fabric``, on ``model`` in the shape ``betas`` (S,).
 
-        Its rest is ``rest`` [m] (V, 3), or the garment's own where cloth crosses itself in that. Raises ``MeshError``
-        where it crosses itself in both.
+        ``rest`` [m] (V, 3) is a drape of the T-pose, relative to the root joint; the garment's own rest pose takes its
+        place if fewer triangles cross there. Raises ``MeshError`` where triangles cross in both.
         """
         faces, own = garment.fine_faces.astype(np.int64), garment.vertices.astype(np.float64)
         mesh, material = ClothMesh.of(garment.rest_state(), faces, len(own)), Material.of(fabric)
@@ -73,7 +75,8 @@ class ExactCloth:
         )
 
     def band(self, start: np.ndarray) -> Band | None:
-        """The springs of the waistband, which hold it where it is in ``start`` [m] (V, 3)."""
+        """Returns the springs of the waistband, which hold it where it is in ``start`` [m] (V, 3); None without a
+        waistband."""
         if self.waist is None:
             return None
         n_per_m = np.zeros(len(start))
@@ -83,12 +86,13 @@ class ExactCloth:
 
 @dataclass(frozen=True, eq=False)
 class FrameFigures:
-    """The figures of a frame.
+    """The figures of a computed frame.
 
     ``force_share``: the norm of the forces left at all vertices over the weight of the cloth, forces of contact with
-    itself included. ``depth_m`` [m]: how deep the cloth lies in the skin where it lies deepest. ``energy_j`` [J] of
-    cloth and body, heights counting from the root; ``start_j`` that of the start. ``crossings``: pairs of triangles
-    that cross; ``start_crossings`` those in the start. ``steps`` of Newton's method.
+    itself included. ``depth_m`` [m]: the largest depth of the cloth in the skin, 0 if it is nowhere in it. ``energy_j``
+    [J] of cloth and body, heights counting from the root, and ``start_j`` that of the drape it started from.
+    ``crossings``: how many pairs of triangles cross, and ``start_crossings`` in the start. ``steps`` of Newton's
+    method.
     """
 
     force_share: float
@@ -102,11 +106,8 @@ class FrameFigures:
 
 @dataclass(frozen=True, eq=False)
 class RestingFrame:
-    """A finished frame: its ``pose`` (24, 3) [rad], its cloth ``x`` [m] (V, 3), and the drape ``start`` (V, 3) that it
-    was computed from.
-
-    Cloth and start are relative to the root.
-    """
+    """A computed frame: its ``pose`` (24, 3) [rad], its cloth ``x`` [m] (V, 3), and the drape ``start`` [m] (V, 3) that
+    it was computed from. Cloth and start are relative to the root joint."""
 
     pose: np.ndarray
     x: np.ndarray
@@ -118,10 +119,11 @@ def exact(
 ) -> tuple[RestingFrame, FrameFigures]:
     """Returns the drape of a ``pose`` (24, 3) [rad] and its figures.
 
-    ``start`` [m] (V, 3), relative to the root, is the pose's drape of tier accurate. The cloth comes from the frame
-    ``before`` if there is one, unless that crosses itself and ``start`` does not. Otherwise it comes from ``start``, or
-    from the T-pose if ``start`` crosses itself. If it would end with more energy than ``start``, it goes down from
-    ``start`` instead and may still cross. Raises ``MeshError`` where ``start`` is not finite.
+    ``start`` [m] (V, 3), relative to the root joint, is the pose's drape of tier accurate. The descent begins at the
+    cloth of the frame ``before`` if there is one, unless that crosses itself and ``start`` does not. Otherwise it
+    begins at ``start``, or at the T-pose if ``start`` crosses itself. If it ends with more energy than ``start`` has,
+    the descent is repeated from ``start``, and the cloth may still cross. Raises ``MeshError`` where ``start`` is not
+    finite.
     """
     start = np.ascontiguousarray(start, np.float64)
     check_finite("start of a frame", start, error=MeshError)
@@ -132,11 +134,12 @@ def exact(
     start_j = _over(sheet, posed, start, band).now.energy
     end = _down(sheet, posed, x, band)
     if x is not start and _over(sheet, posed, end.x, band).now.energy > start_j:
-        end = _down(sheet, posed, start, band)  # never above the start, though what crosses there goes on to
-    x = end.x.astype(np.float32).astype(np.float64)  # what is stored, and what the next frame comes from
+        # The energy must not rise, though what crosses in the start then crosses in the end.
+        end = _down(sheet, posed, start, band)
+    x = end.x.astype(np.float32).astype(np.float64)  # float32 is what is stored, and the next frame begins there
     over = _over(sheet, posed, x, band)
     report = FrameFigures(
-        force_share=float(np.linalg.norm(end.force)) / sheet.cloth.weight_n,
+        force_share=float(np.linalg.norm(end.gradient)) / sheet.cloth.weight_n,
         depth_m=max(over.deepest_m(), 0.0),
         energy_j=over.now.energy,
         start_j=start_j,
@@ -158,20 +161,20 @@ def _arrived(
     """The cloth [m] (V, 3) over the ``pose`` (24, 3) that goes down from there."""
     cloth, contact, body = sheet.cloth, sheet.contact, sheet.body
     if before is not None:
-        return followed(cloth, contact, body, before.x, start - before.start, (before.pose, pose))
+        return follow(cloth, contact, body, before.x, start - before.start, (before.pose, pose))
     if not crossed:
         return start
     t_pose = np.zeros_like(pose)
-    t_pose[0] = pose[0]  # the root turned as in ``pose``
+    t_pose[0] = pose[0]  # the root is turned as in the pose
     rest = np.ascontiguousarray(sheet.rest @ np.asarray(rotvec_to_matrix(pose[0])).T)
-    x = led(cloth, contact, body, rest, (t_pose, pose))
-    return drawn_to(cloth, contact, body.posed(pose), x, start, sheet.band(start))
+    x = lead(cloth, contact, body, rest, (t_pose, pose))
+    return draw_to(cloth, contact, body.posed(pose), x, start, sheet.band(start))
 
 
-def _down(sheet: ExactCloth, posed: np.ndarray, x: np.ndarray, band: Band | None) -> Found:
+def _down(sheet: ExactCloth, posed: np.ndarray, x: np.ndarray, band: Band | None) -> State:
     """Where the cloth comes down to from ``x`` [m] (V, 3) over the ``posed`` body."""
-    one = apart.ApartDescent(sheet.cloth, sheet.contact, posed, x, band=band)
-    return one.run(STEPS, TOLERANCE * sheet.cloth.weight_n)
+    descent = apart.ApartDescent(sheet.cloth, sheet.contact, posed, x, band=band)
+    return descent.run(STEPS, TOLERANCE * sheet.cloth.weight_n)
 
 
 def _over(sheet: ExactCloth, posed: np.ndarray, x: np.ndarray, band: Band | None) -> newton.Descent:

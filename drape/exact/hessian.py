@@ -15,8 +15,11 @@ from drape.exact.surroundings import Around
 
 @dataclass(frozen=True, eq=False)
 class Pattern(Recorded):
-    """The places of the blocks. Row v has the columns ``column[start[v] : start[v + 1]]``, sorted, its own at
-    ``diagonal``. ``face`` (F, 3, 3) and ``hinge`` (H, 4, 4) name the block of every pair of corners.
+    """The sparsity of a symmetric matrix of N blocks (3, 3) in compressed rows.
+
+    Row v has the blocks ``start[v]`` to ``start[v + 1]`` at the columns ``column`` (N,), ascending; block
+    ``diagonal[v]`` is on the diagonal. ``face`` (F, 3, 3) and ``hinge`` (H, 4, 4) are the blocks of every two corners
+    of a triangle and of a hinge.
     """
 
     start: np.ndarray
@@ -27,7 +30,8 @@ class Pattern(Recorded):
 
 
 def pattern(cloth: ClothMesh) -> Pattern:
-    """The pattern of all vertices that share a triangle or a hinge."""
+    """Returns the sparsity of the Hessian of ``cloth``: a block for every two vertices that share a triangle or a
+    hinge."""
     graph = stencil(cloth)
     graph.sort_indices()
     graph.data = np.arange(graph.nnz, dtype=np.float64) + 1.0
@@ -50,9 +54,10 @@ def pattern(cloth: ClothMesh) -> Pattern:
 def assemble(
     x: np.ndarray, problem: Problem, around: Around, pattern: Pattern, exact: float, blocks: np.ndarray
 ) -> None:
-    """Writes the Hessian [N/m] at ``x`` [m] (V, 3) to ``blocks`` (N, 3, 3), the N blocks of the pattern, in float64.
+    """Writes the Hessian [N/m] of the cloth's energy at ``x`` [m] (V, 3) to ``blocks`` (N, 3, 3) float64, the blocks of
+    ``pattern``.
 
-    It is the exact one for ``exact`` 1. For 0 it is positive: only tensile stress counts, hinges are as stiff as
-    unfolded ones, and the curvature of their angle is left out. Values between mix the two.
+    ``exact`` is 0 to 1. At 1 it is the exact Hessian. At 0 it is positive: only tensile stress counts, hinges are as
+    stiff as unbent ones, and the curvature of their angle is left out. Values between mix the two.
     """
     call("hessian", np.float64, x, problem, around, pattern, float(exact), blocks)

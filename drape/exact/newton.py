@@ -22,31 +22,32 @@ from drape.cloth.problem import Problem, problem
 from drape.exact import descent, hessian, linear, settling
 from drape.exact.blended_planes import BlendedPlanes
 from drape.exact.linear import Charts
+from drape.exact.settling import State
 from drape.exact.surroundings import Around, surroundings
 
-TOLERANCE = 0.01  # of the weight: the norm of the force left at rest
+TOLERANCE = 0.01  # share of the weight: at rest the norm of the force left is no larger
 REACH_M = 0.01  # the most that one step moves a vertex
-SWEEPS = 4  # of vertex block descent before settling and before the first step: they take the worst away
-WORST, WORST_SWEEPS = 0.05, 4  # share of the vertices, those under the most force, swept after every step, so often
-DAMPING = 1e-5  # of the diagonal blocks, on top of the Hessian
-ITERATIONS = 100  # of conjugate gradients per step, at most
-ROUGH, FINE = 0.3, 0.1  # share of the residual that they leave, while blending and while shifting
-EXACT_START, EXACT_LEAST = 0.05, 0.02
-SHIFTING = 0.05  # of the weight: the force below which the Hessian is taken as it is
-SHIFT_N_PER_M, SHIFT_LEAST_N_PER_M = 1.0, 1e-3  # per vertex of mean area
-LATE = 60  # iterations after which a direction that meets negative curvature is worth its step
+SWEEPS = 4  # sweeps before settling and before the first step: they take the largest forces away
+WORST, WORST_SWEEPS = 0.05, 4  # after every step this share of the vertices, under the most force, is swept so often
+DAMPING = 1e-5  # share of the diagonal blocks that is added to the Hessian
+ITERATIONS = 100  # the most iterations of conjugate gradients in a step
+ROUGH, FINE = 0.3, 0.1  # share of the residual that they leave: before the Hessian is exact, and when it is shifted
+EXACT_START, EXACT_LEAST = 0.05, 0.02  # the share of the exact Hessian: the first one, and the least before none
+SHIFTING = 0.05  # share of the weight: below this force the Hessian is exact, with a shift
+SHIFT_N_PER_M, SHIFT_LEAST_N_PER_M = 1.0, 1e-3  # the first shift and the least, at a vertex of mean area
+LATE = 60  # after so many iterations a direction is worth its step even if it met negative curvature
 HALVINGS = 8
-COARSE_AGE = 4  # steps that an inverse on the charts serves
-STALLS, STALLED_N_PER_M = 6, 16.0  # steps one after the other that lower nothing, and the shift after the first
-COLLAPSED = 0.05  # of its area at rest: a triangle that is laid out anew where no step lowers the energy
-LAYINGS = 6
-# Rounds of settling: of every start, of the lowest, and those that go with a step, where few are wanted.
+COARSE_AGE = 4  # an inverse on the charts serves so many steps
+STALLS, STALLED_N_PER_M = 6, 16.0  # after so many steps in a row without gain it ends; the shift after the first
+COLLAPSED = 0.05  # share of its area at rest: a smaller triangle is laid out anew where no step lowers the energy
+LAYINGS = 6  # times at most
+# Rounds of settling: of every start, of the lowest one, and the most for each step where few steps are wanted.
 ROUGH_ROUNDS, ROUNDS, ROUNDS_PER_STEP = 40, 400, 10
 
 
 class Cloth(NamedTuple):
-    """The constants of a cloth that all poses share: its problem, the pattern of its Hessian, charts in float32, and
-    ``solve``, the inverse by which it settles."""
+    """The constants of a cloth that all poses share: its energy ``problem``, the ``pattern`` of its Hessian, ``charts``
+    with weights in float32, and ``solve``, the function by which it settles (``settling.inverse``)."""
 
     problem: Problem
     pattern: hessian.Pattern
@@ -63,33 +64,24 @@ class Cloth(NamedTuple):
 
     @property
     def weight_n(self) -> float:
-        """The cloth's weight [N]."""
+        """The weight [N] of the whole cloth."""
         return float(self.problem.weight_n.sum())
 
 
 class Band(NamedTuple):
-    """Springs of one drape: the ``anchor`` (V, 3) [m] of every vertex and its stiffness (V,) [N/m], zero where there is
-    none."""
+    """A spring for each of V vertices: from ``anchor`` [m] (V, 3), of stiffness ``n_per_m`` [N/m] (V,), zero where
+    there is none."""
 
     anchor: np.ndarray
     n_per_m: np.ndarray
 
 
-class Found(NamedTuple):
-    """A place ``x`` [m] (V, 3) of a descent, its ``energy`` [J] over the blended planes, and the ``force`` [N] (V, 3)
-    left there."""
-
-    x: np.ndarray
-    energy: float
-    force: np.ndarray
-    at_rest: bool
-    steps: int
-
-
 class Descent:
-    """One drape on its way down: ``now`` is its place, ``best`` the place of least energy that it has met.
+    """The descent of one cloth over a ``posed`` body [m] (Vb, 3) from ``start`` [m] (V, 3): ``now`` is its state,
+    ``best`` the state of least energy so far.
 
-    A waistband ``band`` has slack; the springs that it is ``drawn`` by have none, and count as energy.
+    The springs of a waistband ``band`` have slack. The springs ``pull`` have none; their energy is part of the
+    state's.
     """
 
     reach_m: float | np.ndarray = REACH_M
@@ -102,57 +94,57 @@ class Descent:
         start: np.ndarray,
         *,
         band: Band | None = None,
-        drawn: Band | None = None,
+        pull: Band | None = None,
     ) -> None:
-        self.cloth, self.problem, self.band, self.drawn = cloth, cloth.problem, band, drawn
+        self.cloth, self.problem, self.band, self.pull = cloth, cloth.problem, band, pull
         self._planes = BlendedPlanes.of_body(contact, posed, len(start), float(cloth.problem.constants.gap))
-        self._met: tuple[np.ndarray, Around, np.ndarray] | None = None  # what ``around`` gave last, of what
+        self._met: tuple[np.ndarray, Around, np.ndarray] | None = None  # the last argument and result of ``around``
         self.steps = self._layings = 0
-        self.exact = 0.0  # how much of the Hessian's indefinite part is in it, until the force is small
-        self.shift: float | None = None  # from then on [N/m], on the whole Hessian
+        self.exact = 0.0  # share of the exact Hessian in it, until the force is small
+        self.shift: float | None = None  # [N/m], added to the exact Hessian from then on
         triangles = self.problem.triangles
         area = np.bincount(triangles.corner.reshape(-1), np.repeat(triangles.area, 3), len(start))
         self._per_shift = (area / area.mean())[:, None, None] * np.eye(3)
         self._diagonal = np.empty((len(start), 3, 3))
         self._coarse, self._coarse_age = np.zeros((0, 0), np.float32), COARSE_AGE
-        self.now = self.best = self.found(np.ascontiguousarray(start, np.float64))
+        self.now = self.best = self.evaluate(np.ascontiguousarray(start, np.float64))
         self.start_j = self.now.energy
 
     def around(self, x: np.ndarray) -> tuple[Around, np.ndarray]:
-        """Returns the planes and springs that act on ``x`` [m] (V, 3), and the second derivatives of its distances to
-        the body.
-        """
+        """Returns the planes and springs that act on the vertices ``x`` [m] (V, 3), and the second derivatives [1/m]
+        (V, 3, 3) of their distances to the body."""
         if self._met is not None and self._met[0] is x:
             return self._met[1:]
         point, normal, bend = self._planes(x)
         planes = surroundings(self.problem, point, normal)
         if self.band is not None:
             planes = replace(planes, band=self.band.anchor, band_n_per_m=self.band.n_per_m)
-        if self.drawn is not None:
-            planes = replace(planes, target=self.drawn.anchor, target_n_per_m=self.drawn.n_per_m)
+        if self.pull is not None:
+            planes = replace(planes, target=self.pull.anchor, target_n_per_m=self.pull.n_per_m)
         self._met = x, planes, bend
         return planes, bend
 
-    def found(self, x: np.ndarray) -> Found:
-        """Returns energy and force at the place ``x`` [m] (V, 3)."""
+    def evaluate(self, x: np.ndarray) -> State:
+        """Returns the state at ``x`` [m] (V, 3), with its energy and gradient."""
         gradient = np.empty_like(x)
         energy = descent.energy_and_gradient(x, self.problem, self.around(x)[0], gradient)
-        return Found(x, energy, gradient, False, self.steps)
+        return State(x, energy, gradient, steps=self.steps)
 
     def deepest_m(self) -> float:
-        """How deep [m] the cloth lies in the skin where it lies deepest."""
+        """Returns the depth [m] of the cloth in the skin where it is deepest; negative if it is nowhere in the skin."""
         around, _ = self.around(self.now.x)
         size = np.maximum(np.linalg.norm(around.normal, axis=1), 1e-12)
         return float((((around.point - self.now.x) * around.normal).sum(axis=1) / size).max())
 
     def settle(self, rounds: int) -> None:
-        """Sweeps a little and then settles (``drape.exact.settling``), for ``rounds`` at most."""
+        """Moves the cloth by a few sweeps, and then by at most ``rounds`` of settling (``drape.exact.settling``)."""
         for _ in range(SWEEPS):
             self._sweep(self.problem.order)
-        self._take(settling.settle(self.now, self.found, self.cloth.solve, rounds))
+        self._take(settling.settle(self.now, self.evaluate, self.cloth.solve, rounds))
 
-    def run(self, step_limit: int, tolerance_n: float) -> Found:
-        """Takes steps of Newton's method. Returns the last place.
+    def run(self, step_limit: int, tolerance_n: float) -> State:
+        """Moves the cloth by Newton's method and returns the last state if it is at rest, else the state of least
+        energy.
 
         It ends when the norm of the force left is at most ``tolerance_n`` [N], when no step lowers the energy, or after
         ``step_limit`` steps.
@@ -162,14 +154,14 @@ class Descent:
                 self._sweep(self.problem.order)
         stalls = 0
         while self.steps < step_limit:
-            force = np.linalg.norm(self.now.force)
+            force = np.linalg.norm(self.now.gradient)
             if force <= tolerance_n and self.now.energy <= self.start_j:
                 return self.now._replace(at_rest=True, steps=self.steps)
             if self.shift is None and force <= SHIFTING * self.cloth.weight_n:
                 self.shift = SHIFT_N_PER_M
             self.steps += 1
             if self._step():
-                size = (self.now.force**2).sum(axis=1)
+                size = (self.now.gradient**2).sum(axis=1)
                 worst = np.argsort(-size, kind="stable")[: max(8, int(WORST * len(size)))]
                 self._sweep(worst.astype(np.int32), WORST_SWEEPS)
                 stalls = 0
@@ -178,12 +170,12 @@ class Descent:
             if stalls == STALLS:
                 break
             if not self._lay_out():
-                # A step so short that it is one of steepest descent.
+                # So large a shift makes the step a short one of steepest descent.
                 self.shift = max(4.0 * (self.shift or 0.0), STALLED_N_PER_M)
-        at_rest = np.linalg.norm(self.now.force) <= tolerance_n and self.now.energy <= self.start_j
+        at_rest = np.linalg.norm(self.now.gradient) <= tolerance_n and self.now.energy <= self.start_j
         return (self.now if at_rest else self.best)._replace(at_rest=bool(at_rest), steps=self.steps)
 
-    def _take(self, there: Found) -> None:
+    def _take(self, there: State) -> None:
         self.now = there
         if there.energy < self.best.energy:
             self.best = there
@@ -195,7 +187,7 @@ class Descent:
         for _ in range(times):
             descent.sweep(x, self.problem, around, True, order)
             x = self._swept(origin, x)
-        there = self.found(x)
+        there = self.evaluate(x)
         if there.energy < self.now.energy:
             self._take(there)
 
@@ -203,14 +195,14 @@ class Descent:
         """One step of Newton with a line search; False where it finds nothing lower."""
         now = self.now
         step, iterations = self._direction()
-        slope, share, lowered = float((now.force * step).sum()), 1.0, False
+        slope, share, lowered = float((now.gradient * step).sum()), 1.0, False
         for _ in range(HALVINGS):
-            there = self.found(now.x + share * step)
+            there = self.evaluate(now.x + share * step)
             lowered = there.energy < now.energy + 1e-4 * share * slope
             if lowered:
                 self._take(there)
                 break
-            # The least of the parabola through what is known, within a tenth and a half.
+            # The minimum of the parabola through both energies and the slope, but between a tenth and a half.
             wanted = -0.5 * share * share * slope / max(there.energy - now.energy - share * slope, 1e-300)
             share = min(max(wanted, 0.1 * share), 0.5 * share) if np.isfinite(wanted) else 0.1 * share
         share = share if lowered else 0.0
@@ -233,7 +225,7 @@ class Descent:
         own = self._diagonal if others is None else self._diagonal + others[pattern.diagonal]
         inverse = np.linalg.inv(own).astype(np.float32)
         blocks = np.empty((len(pattern.column), 3, 3))
-        moved, force = np.empty(x.shape, np.float32), (-self.now.force).astype(np.float32)
+        moved, force = np.empty(x.shape, np.float32), (-self.now.gradient).astype(np.float32)
         while True:
             exact, left = (self.exact, ROUGH) if self.shift is None else (1.0, FINE)
             hessian.assemble(x, problem, around, pattern, exact, blocks)
@@ -246,7 +238,7 @@ class Descent:
             self._renew_coarse(pattern, single)
             system = linear.System(pattern, single, inverse, self.cloth.charts, self._coarse)
             count = linear.conjugate_gradients(system, force, left, ITERATIONS, moved)
-            # A direction that curves down leads far away, unless it came late.
+            # A direction of negative curvature leads far away, unless many iterations came before it.
             if self.shift is not None:
                 if count > 0 or count < -LATE or self.shift > 1e8:
                     break
@@ -307,7 +299,7 @@ class Descent:
                 np.add.at(total, corner[:, side], x[corner[:, other]])
                 np.add.at(count, corner[:, side], 1.0)
         x[chosen] = total[chosen] / count[chosen, None]
-        self._take(self.found(x))
+        self._take(self.evaluate(x))
         near = np.unique(corner[np.isin(corner, chosen).any(axis=1)]).astype(np.int32)
         for _ in range(10):
             self._sweep(near)
@@ -324,21 +316,22 @@ def minimum(
     step_limit: int,
     tolerance: float,
     band: Band | None = None,
-) -> Found:
-    """The lowest drape over ``posed`` (Vb, 3) from ``starts`` (each V, 3), never above the lowest of them.
+) -> State:
+    """Returns the state of least energy over the body ``posed`` [m] (Vb, 3) that descents from ``starts``, each [m] (V,
+    3), lead to. Its energy is never above the lowest of the starts.
 
-    Every start settles a little. The lowest settles on and goes by Newton's method until the force left is at most
-    ``tolerance`` of the weight, for ``step_limit`` steps at most.
+    Every start settles a little. The lowest settles on and goes by Newton's method until the norm of the force left is
+    at most ``tolerance`` of the weight, for ``step_limit`` steps at most.
     """
     limit_n = tolerance * cloth.weight_n
     descents = [Descent(cloth, contact, posed, start, band=band) for start in starts]
-    finite = [one for one in descents if np.isfinite(one.start_j)]
+    finite = [start for start in descents if np.isfinite(start.start_j)]
     if not finite:
         return descents[0].best
     if len(finite) > 1:
-        for one in finite:
-            one.settle(min(ROUGH_ROUNDS, ROUNDS_PER_STEP * step_limit))
-    lowest = min(finite, key=lambda one: one.best.energy)
-    lowest.start_j = min(one.start_j for one in finite)
+        for start in finite:
+            start.settle(min(ROUGH_ROUNDS, ROUNDS_PER_STEP * step_limit))
+    lowest = min(finite, key=lambda start: start.best.energy)
+    lowest.start_j = min(start.start_j for start in finite)
     lowest.settle(min(ROUNDS, ROUNDS_PER_STEP * step_limit))
     return lowest.run(step_limit, limit_n)

@@ -24,35 +24,36 @@ from drape.exact import apart, creases
 from drape.exact.newton import Band, Cloth
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
 
-WAY_M = 0.02  # of the cloth in a step of the body
-CARRIED, STEPS = 6, 3  # moves without, and steps with, an energy in each of these
-ROUNDS, DEEP_M = 6, 0.002  # so many times as many steps at most, while cloth is deeper than this in the skin
-HOLD_N_PER_M = 2.0  # of the springs to where the skin would take the cloth, at a mean vertex
-DRAWN_STEPS, DRAWN_N_PER_M = 30, 10.0  # of the way to the drape that crosses
+WAY_M = 0.02  # the longest way of the cloth in a step of the body
+CARRIED, STEPS = 6, 3  # in each of these: moves whatever the energy, then steps that lower it
+ROUNDS, DEEP_M = 6, 0.002  # rounds of steps at most, as long as cloth is deeper than this in the skin
+HOLD_N_PER_M = 2.0  # the stiffness, at a mean vertex, of the springs to where the skin would take the cloth
+DRAWN_STEPS, DRAWN_N_PER_M = 30, 10.0  # the steps towards the drape that crosses, and the stiffness of their springs
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A ``model`` in the shape ``betas`` (S,), whose root is where vertices count from."""
+    """A body ``model`` in the shape ``betas`` (S,); its vertices and bones count from the root joint."""
 
     model: BodyModel
     betas: np.ndarray
 
     def bones(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rotations (24, 3, 3) and translations [m] (24, 3) of the bones in a ``pose`` (24, 3) [rad]."""
+        """Returns the rotations (24, 3, 3) and translations [m] (24, 3) of the bones in a ``pose`` (24, 3) [rad]."""
         rotation, translation = self.model.bones(pose[None], self._centred, self.betas)
         return rotation[0], translation[0]
 
     def posed(self, pose: np.ndarray) -> np.ndarray:
-        """Vertices [m] (Vb, 3) in a ``pose`` (24, 3) [rad]."""
+        """Returns the body's vertices [m] (Vb, 3) in a ``pose`` (24, 3) [rad]."""
         return self.model.posed_vertices(pose[None], self._centred, self.betas)[0]
 
     @property
     def _centred(self) -> np.ndarray:
         return -self.model.rest_joints(self.betas)[:1]
 
-    def carried(self, x: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """Points ``x`` [m] (V, 3) at the pose ``before``, each moved on to ``after`` with the nearest vertex's skin."""
+    def carry(self, x: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """Returns the points ``x`` [m] (V, 3) as they go from the pose ``before`` to ``after``, each (24, 3) [rad],
+        with the skin: each by the skinning of the body vertex nearest to it."""
         near = self.model.weights[KDTree(self.posed(before)).query(x)[1]]
         (old, old_way), (new, new_way) = (
             (np.einsum("vj,jab->vab", near, rotation), near @ way)
@@ -62,8 +63,9 @@ class Body:
         return (new @ rest)[..., 0] + new_way
 
 
-def between(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
-    """The pose (24, 3) [rad] that is ``share`` of the way from ``before`` to ``after``, joint by joint."""
+def pose_between(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
+    """Returns the pose (24, 3) [rad] that is ``share``, 0 to 1, of the way from ``before`` to ``after``, joint by
+    joint."""
     first, last = rotvec_to_matrix(before), rotvec_to_matrix(after)
     turn = matrix_to_rotvec(np.swapaxes(first, -1, -2) @ last)
     return matrix_to_rotvec(first @ rotvec_to_matrix(share * turn))
@@ -72,26 +74,27 @@ def between(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
 def poses_between(
     body: Body, x: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of neighbouring poses (24, 3) [rad] on the way from ``before`` to ``after``: between the two of a pair the
-    skin moves no part of the cloth ``x`` [m] (V, 3) much farther than ``WAY_M``."""
-    way_m = float(np.linalg.norm(body.carried(x, before, after) - x, axis=1).max())
+    """Returns an iterator over pairs of neighbouring poses, each (24, 3) [rad], on the way from ``before`` to
+    ``after``. Between the two poses of a pair the skin takes no vertex of the cloth ``x`` [m] (V, 3) much farther than
+    ``WAY_M``."""
+    way_m = float(np.linalg.norm(body.carry(x, before, after) - x, axis=1).max())
     count = max(1, int(np.ceil(way_m / WAY_M)))
-    poses = [between(before, after, number / count) for number in range(count + 1)]
+    poses = [pose_between(before, after, number / count) for number in range(count + 1)]
     return pairwise(poses)
 
 
-def led(
+def lead(
     cloth: Cloth, contact: BodyContact, body: Body, x: np.ndarray, ends: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Returns the cloth ``x`` [m] (V, 3) taken along from the first pose of ``ends`` (24, 3) [rad], where it is apart,
-    to the second one."""
+    """Returns the cloth [m] (V, 3) in the second pose of ``ends``, each (24, 3) [rad]: the body takes it along from the
+    first one, where it is ``x`` [m] (V, 3) and crosses itself nowhere."""
     for before, after in poses_between(body, x, *ends):
-        goal = body.carried(x, before, after)
-        x = _taken(cloth, contact, body.posed(after), x, goal, least=1)
+        goal = body.carry(x, before, after)
+        x = _take_along(cloth, contact, body.posed(after), x, goal, least=1)
     return x
 
 
-def followed(
+def follow(
     cloth: Cloth,
     contact: BodyContact,
     body: Body,
@@ -99,23 +102,23 @@ def followed(
     motion: np.ndarray,
     ends: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Returns the cloth ``x`` [m] (V, 3) moved by ``motion`` [m] (V, 3) on the way from the first pose of ``ends`` (24,
-    3) [rad], where it is apart, to the second one."""
+    """Returns the cloth [m] (V, 3) in the second pose of ``ends``, each (24, 3) [rad]: it moves by ``motion`` [m] (V,
+    3) from the first one, where it is ``x`` [m] (V, 3) and crosses itself nowhere."""
     count = max(1, int(np.ceil(np.linalg.norm(motion, axis=1).max() / WAY_M)))
     for number in range(1, count + 1):
-        posed = body.posed(between(*ends, number / count))
-        x = _taken(cloth, contact, posed, x, x + motion / count, least=0)
+        posed = body.posed(pose_between(*ends, number / count))
+        x = _take_along(cloth, contact, posed, x, x + motion / count, least=0)
     return x
 
 
-def _taken(
+def _take_along(
     cloth: Cloth, contact: BodyContact, posed: np.ndarray, x: np.ndarray, goal: np.ndarray, *, least: int
 ) -> np.ndarray:
     """The cloth ``x`` [m] (V, 3), moved towards ``goal`` (V, 3) over the ``posed`` body in ``least`` rounds of steps at
     least, and more while it is in the skin."""
-    outer = creases.outside(contact, posed)
-    goal = creases.out_of(outer, posed, goal, float(cloth.problem.constants.gap))
-    descent = apart.ApartDescent(cloth, outer, posed, x, drawn=_towards(goal, cloth, HOLD_N_PER_M))
+    outer = creases.without_creases(contact, posed)
+    goal = creases.move_out(outer, posed, goal, float(cloth.problem.constants.gap))
+    descent = apart.ApartDescent(cloth, outer, posed, x, pull=_towards(goal, cloth, HOLD_N_PER_M))
     _go(descent, goal)
     for number in range(1, ROUNDS + 1):
         if number > least and descent.deepest_m() < DEEP_M:
@@ -124,17 +127,17 @@ def _taken(
     return descent.now.x
 
 
-def drawn_to(
+def draw_to(
     cloth: Cloth, contact: BodyContact, posed: np.ndarray, x: np.ndarray, goal: np.ndarray, band: Band | None
 ) -> np.ndarray:
-    """Returns the cloth ``x`` [m] (V, 3), which is apart over the ``posed`` body (Vb, 3), drawn as near to ``goal`` [m]
-    (V, 3) as it comes."""
-    outer = creases.outside(contact, posed)
-    goal = creases.out_of(outer, posed, goal, float(cloth.problem.constants.gap))
-    one = apart.ApartDescent(cloth, outer, posed, x, band=band, drawn=_towards(goal, cloth, DRAWN_N_PER_M))
-    _go(one, goal)
-    one.run(DRAWN_STEPS, 0.0)
-    return one.now.x
+    """Returns the cloth [m] (V, 3) as near to ``goal`` [m] (V, 3) as springs draw it over the ``posed`` body [m] (Vb,
+    3). It starts at ``x`` [m] (V, 3), where it crosses itself nowhere."""
+    outer = creases.without_creases(contact, posed)
+    goal = creases.move_out(outer, posed, goal, float(cloth.problem.constants.gap))
+    descent = apart.ApartDescent(cloth, outer, posed, x, band=band, pull=_towards(goal, cloth, DRAWN_N_PER_M))
+    _go(descent, goal)
+    descent.run(DRAWN_STEPS, 0.0)
+    return descent.now.x
 
 
 def _towards(goal: np.ndarray, cloth: Cloth, n_per_m: float) -> Band:
@@ -142,7 +145,7 @@ def _towards(goal: np.ndarray, cloth: Cloth, n_per_m: float) -> Band:
     return Band(goal, n_per_m * cloth.problem.contact_n_per_m / cloth.problem.contact_n_per_m.mean())
 
 
-def _go(one: apart.ApartDescent, goal: np.ndarray) -> None:
+def _go(descent: apart.ApartDescent, goal: np.ndarray) -> None:
     """Moves towards ``goal`` [m] (V, 3), whatever the energy."""
     for _ in range(CARRIED):
-        one.go(goal - one.now.x)
+        descent.go(goal - descent.now.x)

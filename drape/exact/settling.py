@@ -10,7 +10,7 @@ Newton's method needs hundreds of its short steps.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse.linalg
@@ -20,31 +20,31 @@ from drape.cloth.material import Material
 from drape.live.whole import stiffness
 
 MEMORY = 0.98
-LONGEST_M = 0.02  # of a vertex's step, and of its way that is remembered
-LOOK = 25  # rounds after which the energy is looked at
-LEAST_GAIN = 2e-3  # of all that was gained: less in LOOK rounds, twice running, and it ends
+LONGEST_M = 0.02  # the longest step of a vertex, and the longest that is remembered
+LOOK = 25  # the energy is looked at every so many rounds
+LEAST_GAIN = 2e-3  # settling ends after twice LOOK rounds that each gain less than this share of all gain
 
 
-class At(Protocol):
-    """A place ``x`` [m] (V, 3), its ``energy`` [J], and the gradient of the energy there, ``force`` [N] (V, 3)."""
+class State(NamedTuple):
+    """A state of a descent: the vertices ``x`` [m] (V, 3), their ``energy`` [J], and its ``gradient`` [N] (V, 3) there.
+    The force on each vertex is the negative of that.
 
-    @property
-    def x(self) -> np.ndarray: ...
+    ``at_rest``: the descent has ended there with as little force as it should. ``steps`` of Newton's method led
+    there.
+    """
 
-    @property
-    def energy(self) -> float: ...
-
-    @property
-    def force(self) -> np.ndarray: ...
-
-
-Place = TypeVar("Place", bound=At)
+    x: np.ndarray
+    energy: float
+    gradient: np.ndarray
+    at_rest: bool = False
+    steps: int = 0
 
 
 def inverse(
     cloth: ClothMesh, material: Material, *, n_per_m: np.ndarray | None = None
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """K^-1 of ``cloth`` of ``material``, as a function of forces [N] (V, 3); ``n_per_m`` (V,) springs are in K too."""
+    """Returns the function that solves K x = b: for forces b [N] (V, 3) it gives displacements x [m] (V, 3). K is the
+    stiffness of ``cloth`` of ``material`` at rest, with springs of ``n_per_m`` [N/m] (V,) if given."""
     matrix: Any = stiffness(cloth, material, np.zeros(cloth.vertex_count) if n_per_m is None else n_per_m)
     factor = scipy.sparse.linalg.splu(
         matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
@@ -53,25 +53,25 @@ def inverse(
 
 
 def settle(
-    start: Place, found: Callable[[np.ndarray], Place], solve: Callable[[np.ndarray], np.ndarray], rounds: int
-) -> Place:
-    """Settles from ``start`` for at most ``rounds``. Returns the place of least energy that it met, ``start`` itself if
+    start: State, evaluate: Callable[[np.ndarray], State], solve: Callable[[np.ndarray], np.ndarray], rounds: int
+) -> State:
+    """Returns the state of least energy on at most ``rounds`` rounds of settling from ``start``; ``start`` itself if
     none is lower.
 
-    ``found`` gives energy and force of a place; ``solve`` is the function that ``inverse`` returns.
+    ``evaluate`` gives the state at vertices [m] (V, 3); ``solve`` is the function that ``inverse`` returns.
     """
     x, way = start.x.copy(), np.zeros_like(start.x)
     best, idle, last = start, 0, start.energy
     for number in range(1, rounds + 1):
         ahead = x + MEMORY * way
-        push = -solve(found(ahead).force)
+        push = -solve(evaluate(ahead).gradient)
         push *= LONGEST_M / max(float(np.linalg.norm(push, axis=1).max()), LONGEST_M)
         way = ahead + push - x
         way *= LONGEST_M / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), LONGEST_M)
         x = x + way
         if number % LOOK and number != rounds:
             continue
-        here = found(x)
+        here = evaluate(x)
         if not np.isfinite(here.energy):
             break
         if here.energy < best.energy:

@@ -1,4 +1,4 @@
-"""The surroundings of a cloth for the judge's solvers: planes of the body, and two springs on every vertex."""
+"""What acts on a cloth from outside in these solvers: planes of the body, and two springs on every vertex."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from drape.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Around(Recorded):
-    """Planes and springs of V vertices.
+    """What acts on the V vertices of a cloth from outside: a plane and two springs on each.
 
-    ``point``, ``normal`` (V, 3): planes of the body, whose normals need not be of unit length. ``target`` (V, 3) with
-    ``target_n_per_m`` (V,), ``band`` (V, 3) with ``band_n_per_m`` (V,): springs, the second free within the slack of
-    ``drape.cloth.waistband``.
+    ``point`` [m] and ``normal`` (V, 3) are planes of the body, whose normals need not be of unit length. The springs go
+    to ``target`` [m] (V, 3) with the stiffness ``target_n_per_m`` [N/m] (V,), and to ``band`` with ``band_n_per_m``;
+    the second ones are free within the slack of ``drape.cloth.waistband``.
     """
 
     point: np.ndarray
@@ -29,7 +29,8 @@ class Around(Recorded):
 
 
 def surroundings(problem: Problem, point: np.ndarray, normal: np.ndarray) -> Around:
-    """The tangent planes (V, 3) alone; the springs have no stiffness."""
+    """Returns the planes ``point`` [m] and ``normal`` (V, 3) as surroundings of a cloth; the springs have no stiffness.
+    Raises ``InputError`` for other shapes."""
     dtype = problem.weight_n.dtype
     point, normal = (np.ascontiguousarray(rows, dtype=dtype) for rows in (point, normal))
     if point.shape != (len(problem.weight_n), 3) or normal.shape != point.shape:

@@ -73,7 +73,7 @@ def _led(cloth: HangingCloth, x: np.ndarray, body: BodyModel, before: np.ndarray
     for number in range(1, count + 1):
         near = KDTree(skins[number - 1]).query(x)[1]
         x = x + smooth((skins[number] - skins[number - 1])[near])
-        x = cloth.hung(x, HoldingSkin(skins[number], body.faces, firm), STEPS if number < count else LAST_STEPS)
+        x = cloth.hang(x, HoldingSkin(skins[number], body.faces, firm), STEPS if number < count else LAST_STEPS)
     return x
 
 

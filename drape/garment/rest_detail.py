@@ -101,7 +101,7 @@ def rest_of(cloth: RestCloth, rest: Rest = "auto") -> tuple[RestState, RestFigur
     Raises ``MeshError`` for "flat" and cloth that does not lie flat, and ``InputError`` as ``read_grain`` does.
     """
     grain = read_grain(cloth.vertices, cloth.modelled, cloth.faces, cloth.on_corners, cloth.uv_unit_m)
-    state = rest_state.modelled(cloth.vertices, cloth.faces, grain.warp)
+    state = rest_state.modelled_rest(cloth.vertices, cloth.faces, grain.warp)
     unit = panel_unit(grain, cloth.uv_unit_m)
     kept = np.ones(len(state.hinge_angle), dtype=bool)
     lengths = "mesh"

@@ -17,7 +17,8 @@ from drape.graph.packing import PackedGarment
 
 @dataclass(frozen=True, eq=False)
 class PosedJets(Recorded):
-    """Posed patches of one frame: ``jet`` (K, 27 or 45), ``rotation`` (K, 3, 3) and ``centre`` [m] (K, 3)."""
+    """The K posed patches of one frame: ``jet`` (K, 27 or 45), the coefficients in patch scales, and the patches'
+    frames, ``rotation`` (K, 3, 3) and ``centre`` [m] (K, 3)."""
 
     jet: np.ndarray
     rotation: np.ndarray
@@ -26,10 +27,12 @@ class PosedJets(Recorded):
 
 @dataclass(frozen=True, eq=False)
 class Tiles(Recorded):
-    """The constants from which vertices are blended.
+    """The constants by which a garment's V vertices are blended from its K posed patches, laid out as
+    ``drape.graph.packing`` says.
 
-    They are the ``scale`` (K,) [m] of the patches, the ``columns`` (Q, 18, 32) of the tiles and the ``patch`` (Q,) of
-    each, and the charts (4, >= V) of the vertices: ``charts`` of 16 bits or ``wide_charts`` of 32.
+    ``scale`` [m] (K,) is that of the patches, ``columns`` (Q, 18, 32) are the chart entries in Q tiles, and ``patch``
+    (Q,) is the patch of each tile. The columns of each vertex's four charts are in ``charts`` (4, blocks, 64) uint16,
+    or in ``wide_charts`` int32 where these are too many; the other one is empty.
     """
 
     scale: np.ndarray
@@ -40,7 +43,7 @@ class Tiles(Recorded):
 
     @classmethod
     def of(cls, garment: PackedGarment) -> Tiles:
-        """Returns the tiles of ``garment``."""
+        """Returns scales, tiles and charts of ``garment``, by which its vertices are blended."""
         stored, charts, none = garment.stored, garment.vertex_charts, garment.vertex_charts[:0]
         narrow = charts.dtype == np.uint16
         return cls(
@@ -53,6 +56,6 @@ class Tiles(Recorded):
 
 
 def blend(jets: PosedJets, tiles: Tiles, vertices: np.ndarray) -> None:
-    """Writes the ``vertices`` [m] (V, 3) of posed ``jets`` by ``tiles``: weighted sums over charts, relative to what
-    the centres are relative to. The same input gives the same bits."""
+    """Writes the ``vertices`` [m] (V, 3) of the posed patches ``jets``, in the frame of their centres: weighted sums
+    over charts. The same input gives the same bits."""
     call_with_scratch("vertices", vertices.dtype, jets, tiles, vertices, len(vertices))

@@ -15,7 +15,7 @@ from drape.arrays import check_finite, check_shape
 from drape.body.features import Kinematics, feature_count, static_features
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
-from drape.contact.proximity import PatchSkin, patch_skin
+from drape.contact.proximity import patch_skin
 from drape.contact.push_tables import outward_directions
 from drape.contact.skin import Skin, body_skin, shaped_skin
 from drape.errors import MotionError
@@ -28,7 +28,8 @@ from drape.graph.inputs import BETA_COUNT, PARTS, AgreementTensors, BodyTensors,
 
 @dataclass(frozen=True)
 class BodyInputs:
-    """Graph inputs of F posed bodies, float32, and the root positions [m] (F, 3) in float64."""
+    """F posed bodies as graphs take them: ``arrays``, the inputs by name, float32, and the positions ``root`` [m] (F,
+    3) in the world, float64, that the graphs' output counts from."""
 
     arrays: dict[str, np.ndarray]
     root: np.ndarray
@@ -37,10 +38,12 @@ class BodyInputs:
 def body_feed(
     body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray | None = None, *, skin: bool = False
 ) -> BodyInputs:
-    """The ``BodyTensors`` of ``poses`` (F, 24, 3) [rad] with root translations ``trans`` (F, 3) [m].
+    """Returns the ``BodyTensors`` of F bodies in ``poses`` (F, 24, 3) [rad] with root translations ``trans`` [m] (F,
+    3).
 
-    ``betas``: one shape (S,) for all frames, or one for each (F, S). With ``skin`` the tensors also hold the
-    skin samples, if bones alone pose the body.
+    ``betas`` are one shape (S,) for all frames, or one for each (F, S). With ``skin`` the tensors also hold the skin
+    samples. Raises ``MotionError`` for translations that are not finite, and ``BodyError`` where ``skin`` is wanted of
+    a body with pose blend shapes.
     """
     poses = np.asarray(poses, dtype=np.float64)
     count = len(poses)
@@ -66,8 +69,8 @@ def body_feed(
 
 
 def shape_numbers(body: BodyModel, betas: np.ndarray | None) -> np.ndarray:
-    """Returns ``betas`` (S,) or (F, S) as graphs take them, (10,) or (F, 10). Numbers that ``body`` does not have, or
-    that are not given, are zero."""
+    """Returns ``betas`` (S,) or (F, S) as graphs take them, (10,) or (F, 10). Shape components that ``body`` does not
+    have, or that are not given, are zero."""
     if betas is None:
         return np.zeros(BETA_COUNT)
     betas = np.asarray(betas, dtype=np.float64)
@@ -76,8 +79,8 @@ def shape_numbers(body: BodyModel, betas: np.ndarray | None) -> np.ndarray:
 
 
 def kinematics(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray | None = None) -> Kinematics:
-    """The ``Kinematics`` that ``motion_features`` compares, of ``poses`` (F, 24, 3) [rad] with root translations
-    ``trans`` (F, 3) [m] and shape ``betas`` (S,), or shapes (F, S)."""
+    """Returns pose features, joints [m] in the world and bone rotations of F frames, float64, for ``poses`` (F, 24, 3)
+    [rad], root translations ``trans`` [m] (F, 3), and ``betas``, one shape (S,) or one for each frame (F, S)."""
     poses = np.asarray(poses, dtype=np.float64)
     rotations, translations = body.bones(poses, trans, betas)
     joints = (rotations @ body.rest_joints(betas)[..., None])[..., 0] + translations
@@ -85,24 +88,24 @@ def kinematics(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.
 
 
 def garment_feed(garment: Garment, *, fine: bool = False, body: BodyModel | None = None) -> dict[str, np.ndarray]:
-    """Returns ``atlas_feed`` of a garment's delivered vertices, or of all vertices of the subdivided mesh with
-    ``fine``.
+    """Returns the constant graph inputs of ``garment`` by name, as ``atlas_feed`` does: of its delivered vertices, or
+    with ``fine`` of all vertices of its fine mesh.
 
-    ``body``: the one the garment was made for.
+    ``body`` is the one that the garment was made for; if given, the skin near the patches is among the inputs.
     """
     count = len(garment.vertices) if fine else garment.vertex_count
     return atlas_feed(garment, count=count, skin=None if body is None else body_skin(body))
 
 
 def skinning_feed(garment: Garment, body: BodyModel) -> dict[str, np.ndarray]:
-    """Returns the input that the paper's variant reads besides ``garment_feed``: ``skin_weights`` (V, 24) of delivered
-    vertices.
-    """
+    """Returns the input that the paper's variant of the network reads besides ``garment_feed``: ``skin_weights`` (V,
+    24), the skinning weights of the delivered vertices."""
     return {"skin_weights": garment.skin_weights(body)[: garment.vertex_count]}
 
 
 def atlas_feed(atlas: Atlas, *, count: int | None = None, skin: Skin | None = None) -> dict[str, np.ndarray]:
-    """Returns the constant graph inputs of a partition by name, all but its embedding.
+    """Returns the constant graph inputs of a garment's patches by name; its patches' codes, which the network computes,
+    are not among them.
 
     They are ``PatchTensors``, ``ChartTensors`` of the first ``count`` vertices (all by default), and
     ``AgreementTensors``, besides ``patch_slot`` (K, 56) of ``Consensus``. With the ``skin`` of the body that the
@@ -110,7 +113,7 @@ def atlas_feed(atlas: Atlas, *, count: int | None = None, skin: Skin | None = No
     """
     shapedirs = np.zeros((atlas.patch_count, 3, BETA_COUNT), dtype=np.float32)
     shapedirs[..., : atlas.patch_shapedirs.shape[2]] = atlas.patch_shapedirs
-    local = atlas.chart_local()
+    local, centre = atlas.chart_local(), atlas.patch_centre.astype(np.float64)
     patches = PatchTensors(
         centre=atlas.patch_centre,
         rotation=atlas.patch_rotation,
@@ -119,7 +122,7 @@ def atlas_feed(atlas: Atlas, *, count: int | None = None, skin: Skin | None = No
         heaviest=atlas.heaviest_bone,
         shapedirs=shapedirs,
         place=None if skin is None else strain_places(atlas.patch_jet, atlas.patch_scale),
-        skin=None if skin is None else _skin_near(atlas, skin),
+        skin=None if skin is None else patch_skin(centre, outward_directions(centre, skin), skin),
     )
     charts = ChartTensors(
         patch=atlas.chart_patch[:count],
@@ -128,12 +131,6 @@ def atlas_feed(atlas: Atlas, *, count: int | None = None, skin: Skin | None = No
         local=local[:count],
     )
     return _arrays(patches.flat() | charts.flat() | _agreement(atlas, local))
-
-
-def _skin_near(atlas: Atlas, skin: Skin) -> PatchSkin:
-    """The skin samples near the patches."""
-    centre = atlas.patch_centre.astype(np.float64)
-    return patch_skin(centre, outward_directions(centre, skin), skin)
 
 
 def _agreement(atlas: Atlas, local: np.ndarray) -> dict[str, np.ndarray]:

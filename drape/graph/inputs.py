@@ -19,7 +19,7 @@ from drape.garment.consensus import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.geometry import jets
 
 BETA_COUNT = 10
-SLOPE = 0.01  # of the network's bends: LeakyReLU, as in appendix A.3 of OneFit
+SLOPE = 0.01  # LeakyReLU's slope below zero, as in appendix A.3 of OneFit
 ROOT = "m, relative to the root joint"
 # Parts of a network that need inputs of their own, in the order in which a graph has them.
 PAPER, SURROUNDINGS, DYNAMIC, AGREES, FEELS = PARTS = ("paper", "surroundings", "dynamic", "agrees", "feels")
@@ -27,9 +27,10 @@ PAPER, SURROUNDINGS, DYNAMIC, AGREES, FEELS = PARTS = ("paper", "surroundings", 
 
 @dataclass(frozen=True, eq=False)
 class BodyTensors(Tensors):
-    """F posed bodies, relative to the root joint's rest place (``drape.graph.feeds.body_feed``).
+    """F posed bodies as the readable graph takes them, relative to the root joint's rest place.
 
-    ``skin`` is the table of ``drape.contact.skin.skin_table``: posed, since this graph is the one to read.
+    ``features`` are pose features and shape; ``rotation``, ``translation`` and ``quaternion`` (wxyz) are the bones'
+    motion from the T-pose; ``skin`` are the posed samples of ``drape.contact.skin.skin_table``.
     """
 
     features: Array = tensor("body_features", "frames", feature_count() + BETA_COUNT)
@@ -45,7 +46,8 @@ class BodyTensors(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class PatchTensors(Tensors):
-    """Constants of the K patches of a garment. ``place``: of the strain points at rest in the patch frame."""
+    """The constants of a garment's K patches: their frames at rest, skinning weights, how their centres move with the
+    body's shape, and the skin near them. ``place`` are the seven strain points at rest in the patch's frame."""
 
     centre: Array = tensor("patch_centre", "patches", 3, unit="m")
     rotation: Array = tensor("patch_rotation", "patches", 3, 3)
@@ -59,7 +61,8 @@ class PatchTensors(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class ChartTensors(Tensors):
-    """The charts of V vertices: patch, weight in the blend, basis of the height's order, rest place in its frame."""
+    """The charts of V vertices, at most four each: the patch, its weight in the blend (0 where there is no chart), the
+    basis of the height's polynomial at the vertex, and what the vertex's rest place in the patch's frame is."""
 
     patch: Array = tensor("chart_patch", "vertices", CHARTS_PER_VERTEX, dtype="int64", unit="patch index")
     weight: Array = tensor("chart_weight", "vertices", CHARTS_PER_VERTEX)
@@ -69,7 +72,8 @@ class ChartTensors(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class AgreementTensors(Tensors):
-    """The tables of ``drape.garment.consensus``; ``anchor_row``: blend weights times [1, rest place, basis]."""
+    """The tables by which overlapping patches are fitted to their blend (``drape.garment.consensus``). ``anchor_row``
+    is the blend weight of a chart times [1, its rest place, its basis]."""
 
     anchor_patch: Array = tensor("anchor_patch", "anchors", CHARTS_PER_VERTEX, dtype="int64", unit="patch index")
     anchor_row: Array = tensor("anchor_row", "anchors", CHARTS_PER_VERTEX, 4 + jets.HEIGHT_COUNT, unit="1 and m")
@@ -82,7 +86,8 @@ class AgreementTensors(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class MotionTensors(Tensors):
-    """Inputs of the recurrent encoder, a row a client: motion (``drape.body.features``), state, time step."""
+    """The inputs of the recurrent motion encoder, a row for each client: motion features (``drape.body.features``), the
+    encoder's state, and the time since the frame before."""
 
     features: Array = tensor("motion_features", "clients", JOINT_COUNT, DYNAMIC_PER_JOINT, unit="1/s and m/s^2")
     state: Array = tensor("state", "clients", "state")

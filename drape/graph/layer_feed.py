@@ -10,7 +10,7 @@ import numpy as np
 from drape.arrays import Array, namespace
 from drape.arrays.tensors import Tensors, group, tensor
 from drape.body.model import BodyModel
-from drape.contact.cloth_samples import MEMBERS, ClothSamples, cloth_samples, hidden_under, joined
+from drape.contact.cloth_samples import MEMBERS, ClothSamples, cloth_samples, hidden_samples, join_samples
 from drape.contact.field import take
 from drape.contact.projection import CLEARANCE_M, Pushed, PushFeed, push_in_parts
 from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, table_of_columns, unit_cross
@@ -26,7 +26,8 @@ REGION_ROW = 8 * REGION_SIZE
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """An inner garment as a collider: delivered rest ``vertices`` [m] (V, 3), ``faces`` (F, 3), and its samples."""
+    """An inner garment as a collider: its delivered mesh at rest, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), and the
+    samples on it."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -35,10 +36,11 @@ class Sheet:
 
 @dataclass(frozen=True, eq=False)
 class LayerFeed(Tensors):
-    """Constants of a garment over others: ``push`` for the regions ``region`` (P, 4) of samples that no cloth hides.
+    """The constants with which a garment is pushed out of the body and of the garments below it, the sheets.
 
-    Regions count through those of the body, then of each sheet; ``cloth_member`` (Q, 12, 24) and ``cloth_rows``
-    (Q, 12, 24, 12) are ``ClothSamples.member`` and ``rows`` of all sheets, members counted through their vertices.
+    ``push`` holds for the regions of samples that no cloth hides; these are the P parts of four of ``region`` (P, 4),
+    numbered through those of the body, then of each sheet. ``cloth_member`` (Q, 12, 24) and ``cloth_rows`` (Q, 12, 24,
+    12) are ``ClothSamples.member`` and ``rows`` of all sheets, their vertices numbered through all sheets.
     """
 
     push: PushFeed = group(PushFeed, parts="all_parts")
@@ -56,19 +58,20 @@ def sheet(garment: Garment) -> Sheet:
 
 
 def pack_layer(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, sheets: Sequence[Sheet]) -> LayerFeed:
-    """The constants of the garment with the ``garment_feed`` ``feed`` over ``sheets``, innermost first.
+    """Returns the constants of a garment over ``sheets``, innermost first, on the body with the samples ``skin``.
 
-    ``vertices`` [m] (V, 3) are its rest vertices, as many as ``feed`` has.
+    ``feed`` is its ``garment_feed`` and ``vertices`` [m] (V, 3) are its vertices at rest, as many as ``feed`` has.
+    Raises ``ArtifactError`` for another number.
     """
     surfaces = [skin, *(item.samples for item in sheets)]
     hidden = [np.zeros(surface.count, dtype=bool) for surface in surfaces]
     for layer, surface in enumerate(surfaces):
         for over in sheets[layer:]:
-            hidden[layer] |= hidden_under(surface, over.vertices, over.faces)
+            hidden[layer] |= hidden_samples(surface, over.vertices, over.faces)
     by_region = np.concatenate(hidden).reshape(-1, REGION_SIZE)
     region = np.flatnonzero(~by_region.all(axis=1))
     region = np.concatenate([region, np.repeat(region[-1:], -len(region) % POSED_REGIONS)])
-    seen = joined(surfaces).of_regions(region)
+    seen = join_samples(surfaces).of_regions(region)
     first = np.cumsum([0, *(len(item.vertices) for item in sheets)])[:-1]
     member = np.concatenate([item.samples.member + start for item, start in zip(sheets, first, strict=True)])
     rows = np.concatenate([item.samples.rows for item in sheets])
@@ -81,9 +84,11 @@ def pack_layer(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples,
 
 
 def layer_feed(outer: Garment, inner: Sequence[Garment], body: BodyModel) -> LayerFeed:
-    """The constants of the delivered mesh of ``outer`` over the garments ``inner``, innermost first, on ``body``.
+    """Returns the constants of the delivered mesh of ``outer`` over the garments ``inner``, innermost first, on
+    ``body``.
 
-    Refuses (``ArtifactError``) garments of another body, (``InputError``) no inner garment or one garment twice.
+    Raises ``ArtifactError`` for garments of another body, and ``InputError`` for no inner garment or one garment
+    twice.
     """
     check_layers([*inner, outer])
     for garment in (*inner, outer):
@@ -99,7 +104,7 @@ def layer_feed(outer: Garment, inner: Sequence[Garment], body: BodyModel) -> Lay
 
 
 def check_layers(garments: Sequence[Garment]) -> None:
-    """Refuses an outfit of fewer than two garments, and one that has a garment twice."""
+    """Raises ``InputError`` for an outfit of fewer than two garments, and for one that has a garment twice."""
     if len(garments) < 2:
         raise InputError(
             "outfit", expected="two garments or more", got=str(len(garments)), cure="Name the inner ones first."
@@ -119,18 +124,18 @@ def check_layers(garments: Sequence[Garment]) -> None:
 def push_over(
     vertices: Array, under: Array, skin: Array, feed: LayerFeed, clearance_m: Array | float = CLEARANCE_M
 ) -> Array:
-    """Returns the pushed vertices [m] (F, V, 3) of ``push_over_in_parts``."""
+    """Returns the vertices [m] (F, V, 3) of ``push_over_in_parts`` alone."""
     return push_over_in_parts(vertices, under, skin, feed, clearance_m).vertices
 
 
 def push_over_in_parts(
     vertices: Array, under: Array, skin: Array, feed: LayerFeed, clearance_m: Array | float = CLEARANCE_M
 ) -> Pushed:
-    """Pushes ``vertices`` [m] (F, V, 3) out of the bodies and of the garments below. Returns what was pushed, part by
-    part.
+    """Returns ``vertices`` [m] (F, V, 3) pushed out of the bodies and of the garments below, up to ``clearance_m`` [m]
+    over both, and the push for drapes by jets.
 
     ``under`` [m] (F, U, 3) are the draped vertices of the garments below, ``skin`` (F, R, 12, 8) the bodies' samples
-    (``drape.contact.skin.skin_table``).
+    (``drape.contact.skin.skin_table``), all in one frame.
     """
     xp = namespace(vertices)
     frames = vertices.shape[0]
@@ -140,8 +145,8 @@ def push_over_in_parts(
 
 
 def cloth_table(under: Array, feed: LayerFeed) -> Array:
-    """Returns the samples on the garments draped to ``under`` [m] (F, U, 3), as regions (F, 4 Q, 96) of a
-    ``sample_table``."""
+    """Returns the samples on garments that are draped to ``under`` [m] (F, U, 3), as rows of ``sample_table`` by
+    region, (F, 4 Q, 96)."""
     xp = namespace(under)
     frames, (parts, clusters, count) = under.shape[0], feed.cloth_member.shape
     taken = take(under, xp.reshape(feed.cloth_member, (-1,)), axis=1)

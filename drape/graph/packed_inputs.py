@@ -19,14 +19,14 @@ from drape.graph.inputs import AGREES, BETA_COUNT, DYNAMIC, FEELS
 
 COLUMNS = 3 + jets.HEIGHT_COUNT  # rest place, basis
 LOWER_COLUMNS = 3 + jets.IN_PLANE_COUNT  # rest place, basis up to the second order
-CHARTS_PER_TILE = 32  # of a patch's last tile half is empty on average
+CHARTS_PER_TILE = 32  # half of a patch's last tile is empty on average
 VERTICES_PER_BLOCK = 64
 PART_SIZE = POSED_REGIONS * REGION_SIZE  # samples that are posed together
 
 
 @dataclass(frozen=True, eq=False)
 class ShapedSkins(Tensors):
-    """Skins of U shapes as sums over bones (``SkinOnBones``), and the shape of each body."""
+    """The skins of U body shapes as weighted sums over bones (``SkinOnBones``), and the shape of each body."""
 
     rows: Array = tensor("skin_rows", "shapes", "parts", "part_bones", 4, 3 * PART_SIZE, unit="m or 1")
     bones: Array = tensor("skin_bones", "parts", "part_bones", dtype="int32", unit="bone index")
@@ -35,10 +35,11 @@ class ShapedSkins(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class PackedBodies(Tensors):
-    """B bodies: rotations relative to the parent, rest joints, shape, the code of motion, the skin that patches feel.
+    """B bodies as the packed graph takes them: rotations relative to the parent (wxyz), rest joints, shape, the code of
+    motion, and the skin that patches feel.
 
-    A last rotation, the identity, stands for the parent of joints that have none. ``dynamic_code`` is added to the
-    code of the pose.
+    A last rotation, the identity, stands for the parent of joints that have none. ``dynamic_code`` is added to the code
+    of the pose.
     """
 
     quaternion: Array = tensor("joint_quaternion", "bodies", JOINT_COUNT + 1, 4, unit="1, relative to the parent")
@@ -50,9 +51,13 @@ class PackedBodies(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class StoredCharts(Tensors):
-    """Tables with which the charts of stored patches agree and are strained, in columns like those of the tiles.
+    """The tables by which stored patches are fitted to the blend at their 56 anchors, and by which their strain is
+    read.
 
-    ``tangent``: by u at x, y, z of seven points, then by v; ``unit``: the upper triangles.
+    ``columns``: the anchor's blend weight in the patch times [its rest place in patch scales, the basis up to the
+    second order]. ``fit`` takes values at the anchors to 21 coefficients, 15 of the height's order and 6 of the
+    in-plane order; ``rest`` are the coefficients of x, y and z at rest. ``tangent``: derivatives at rest at seven
+    strain points, by u of x, y, z, then by v; ``unit``: entries 00, 01 and 11 of ``AgreementTensors.orthonormal``.
     """
 
     columns: Array = tensor("anchor_columns", "patches", LOWER_COLUMNS, MEMBERS)
@@ -64,7 +69,8 @@ class StoredCharts(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class StoredProximity(Tensors):
-    """Points at which stored patches feel the body, and the skin near them at rest (``drape.contact.proximity``)."""
+    """Points at which stored patches read body proximity, and the skin near them at rest
+    (``drape.contact.proximity``)."""
 
     place: Array = tensor("felt_place", "patches", 3, STRAIN_POINTS, unit="patch scales")
     cluster: Array = tensor("felt_cluster", "patches", OWN_CLUSTERS, dtype="int32", unit="cluster of samples")
@@ -75,7 +81,8 @@ class StoredProximity(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class StoredPatches(Tensors):
-    """Constants of stored patches; ``first`` is their half of the decoder's first layer."""
+    """The constants of stored patches: frames at rest, skinning weights, how their centres move with the body's shape,
+    and ``first``, the summand of the decoder's first layer that depends on the patch alone."""
 
     first: Array = tensor("patch_first", "patches", "width")
     weights: Array = tensor("patch_weights", "patches", JOINT_COUNT)
@@ -89,14 +96,15 @@ class StoredPatches(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class StoredTiles(Tensors):
-    """Columns of chart entries in store."""
+    """The chart entries of stored garments, as columns of tiles (``drape.graph.packing``)."""
 
     positions: Array = tensor("tile_positions", "stored_tiles", COLUMNS, CHARTS_PER_TILE)
 
 
 @dataclass(frozen=True, eq=False)
 class Indices(Tensors):
-    """The items of a call: rows of the stored constants and of the bodies, and the owner of every row."""
+    """The patches, tiles and vertices of one call, as rows of what is stored and of the bodies; the units name the
+    rows."""
 
     stored: Array = tensor("patch_stored", "patches", dtype="int32", unit="row of patch_first and the like")
     body: Array = tensor("patch_body", "patches", dtype="int32", unit="row of joint_quaternion and the like")

@@ -39,24 +39,23 @@ KINDS = {spec.name: spec.dtype for kind in (StoredPatches, StoredTiles) for spec
 
 
 def pass_name(index: int) -> str:
-    """Returns the name of the packed graph's output that holds the jets after ``index`` corrections, before the closing
+    """Returns the name of the packed graph's output with the jets after ``index`` corrections, before the closing
     fit."""
     return f"pass_{index}"
 
 
 @dataclass(frozen=True, eq=False)
 class PackedBody:
-    """A body of one shape: rest joints [m] (24, 3), ``betas`` (10,) as the graph takes them, rest place of the root
-    joint [m] (3,) in float64, to which the graph's outputs are relative.
-    """
+    """A body of one shape as the packed graph takes it: ``joint_rest`` [m] (24, 3), ``betas`` (10,), and ``root`` [m]
+    (3,) float64, the rest place of the root joint, which the graph's outputs count from."""
 
     joint_rest: np.ndarray
     betas: np.ndarray
     root: np.ndarray
 
     def rows(self, poses: np.ndarray) -> dict[str, np.ndarray]:
-        """Returns the inputs of the packed graph that depend on the pose, by name, float32: a row for each of ``poses``
-        (F, 24, 3) [rad]."""
+        """Returns the inputs of the packed graph for this body in ``poses`` (F, 24, 3) [rad], by name, float32 with F
+        rows each."""
         quaternion = np.empty((len(poses), JOINT_COUNT + 1, 4), dtype=np.float32)
         quaternion[:, :JOINT_COUNT] = joint_rotations(poses)[0]
         quaternion[:, JOINT_COUNT] = (1.0, 0.0, 0.0, 0.0)  # the ancestor of joints that have none
@@ -69,22 +68,23 @@ class PackedBody:
 
 def _repeated(array: np.ndarray, count: int) -> np.ndarray:
     """``array`` ``count`` times, without a copy."""
-    return array[None] if count == 1 else np.broadcast_to(array, (count, *array.shape))  # the latter takes 10 us
+    return array[None] if count == 1 else np.broadcast_to(array, (count, *array.shape))  # broadcasting takes 10 us
 
 
 def pack_body(body: BodyModel, betas: np.ndarray | None = None) -> PackedBody:
-    """Returns ``body`` in the shape ``betas`` as the packed graph takes it."""
+    """Returns ``body`` in the shape ``betas`` (S,), or its mean shape, as the packed graph takes it."""
     rest = body.rest_joints(betas)
     return PackedBody(rest.astype(np.float32), shape_numbers(body, betas).astype(np.float32), rest[0])
 
 
 @dataclass(frozen=True, eq=False)
 class PackedGarment:
-    """Constants of one garment as the packed graph takes them.
+    """The constants of one garment with K patches and Q tiles, as the packed graph takes them.
 
-    ``stored``: inputs of the graph by name, rows of which are patches (K) or tiles (Q); ``heaviest`` (K,) bone of
-    each patch; ``tile_patch`` (Q,); ``vertex_charts`` (4, blocks, 64) columns of its own tiles; ``anchor_charts``
-    (4, blocks, 64) rows among the K x 56 of its anchor columns, ``member_anchor`` (K, 56) its anchors.
+    ``stored``: inputs of the graph by name, with K or Q rows. ``heaviest`` (K,): the bone that moves a patch most;
+    ``tile_patch`` (Q,): the patch of a tile. ``vertex_charts`` (4, blocks, 64): the columns of a vertex's charts among
+    those of all tiles. ``anchor_charts`` (4, blocks, 64): the same for anchors, among K x 56 anchor columns;
+    ``member_anchor`` (K, 56): the anchors of a patch.
     """
 
     stored: dict[str, np.ndarray]
@@ -104,12 +104,8 @@ class PackedGarment:
         return len(self.tile_patch)
 
     @property
-    def block_count(self) -> int:
-        return self.vertex_charts.shape[1]
-
-    @property
     def bytes(self) -> int:
-        """The memory of all arrays [bytes]."""
+        """The memory of all arrays, in bytes."""
         indices = [self.heaviest, self.tile_patch, self.vertex_charts, self.anchor_charts, self.member_anchor]
         arrays = [*self.stored.values(), *indices]
         return sum(array.nbytes for array in arrays)
@@ -117,19 +113,16 @@ class PackedGarment:
 
 @dataclass(frozen=True, eq=False)
 class Tiling:
-    """Places of chart entries: ``patch`` (Q,) of each tile, ``column`` (V, 4) of each entry among the packed columns.
-
-    A tile has ``width`` columns.
-    """
+    """How the chart entries of V vertices lie in Q tiles of ``width`` columns: ``patch`` (Q,) is the patch of a tile,
+    ``column`` (V, 4) the column of an entry among those of all tiles."""
 
     patch: np.ndarray
     column: np.ndarray
     width: int
 
     def lay(self, values: np.ndarray) -> np.ndarray:
-        """Returns ``values`` (V, 4, n) of the chart entries as tiles (Q, n, width) float32; zero where no entry
-        lies.
-        """
+        """Returns the numbers ``values`` (V, 4, n) of the chart entries as tiles (Q, n, width) float32; columns without
+        an entry are zero."""
         tiles = np.zeros((len(self.patch) * self.width, values.shape[-1]), dtype=np.float32)
         tiles[self.column.reshape(-1)] = values.reshape(-1, values.shape[-1])
         laid = tiles.reshape(len(self.patch), self.width, -1).transpose(0, 2, 1)
@@ -137,7 +130,11 @@ class Tiling:
 
 
 def tile_charts(chart_patch: np.ndarray, patch_count: int, *, width: int = CHARTS_PER_TILE) -> Tiling:
-    """Tiles of ``width`` columns of the entries ``chart_patch`` (V, 4), all of them in [0, ``patch_count``)."""
+    """Returns how chart entries lie in tiles of ``width`` columns, entries of one patch side by side. ``chart_patch``
+    (V, 4) is the patch of each entry.
+
+    Raises ``ArtifactError`` for other shapes, and for patches outside [0, ``patch_count``).
+    """
     if chart_patch.ndim != 2 or chart_patch.shape[1] != CHARTS_PER_VERTEX or not len(chart_patch):
         raise ArtifactError(
             "chart_patch",
@@ -164,9 +161,10 @@ def _check_range(name: str, numbers: np.ndarray, what: str, count: int) -> None:
 
 
 def pack_garment(feed: dict[str, np.ndarray], patch_first: np.ndarray) -> PackedGarment:
-    """The garment whose ``drape.graph.feeds.garment_feed`` is ``feed``, laid out for the packed graph.
+    """Returns the garment with the ``garment_feed`` ``feed``, laid out for the packed graph.
 
-    ``patch_first`` (K, n) comes from the model.
+    ``patch_first`` (K, n) is the summand of the decoder's first layer that depends on the patch alone, from the model's
+    garment encoder. Raises ``ArtifactError`` for another number of rows, and for indices out of range.
     """
     count = len(feed["patch_scale"])
     if patch_first.ndim != 2 or len(patch_first) != count:
@@ -264,7 +262,7 @@ def _anchor_rows(feed: dict[str, np.ndarray]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Place:
-    """First rows of a garment in the store."""
+    """The first rows of a garment among all stored patches and tiles."""
 
     patch: int
     tile: int
@@ -272,7 +270,8 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Composition:
-    """Index tensors of a list of (garment, body) items, and the rows of each item in the outputs."""
+    """The index tensors of a call by name (``Indices``), and the rows of its items in the outputs: the ``patches`` and
+    the ``vertices`` of each."""
 
     arrays: dict[str, np.ndarray]
     patches: tuple[slice, ...]
@@ -280,13 +279,13 @@ class Composition:
 
     @property
     def bytes(self) -> int:
-        """The memory of the index tensors [bytes]."""
+        """The memory of the index tensors, in bytes."""
         return sum(array.nbytes for array in self.arrays.values())
 
 
 def compose_garments(items: Sequence[tuple[PackedGarment, Place, int]]) -> Composition:
-    """Returns the index tensors of ``items``. An item is a garment, the place of its constants in store, and the row of
-    its body."""
+    """Returns the index tensors of a call and the rows of ``items`` in its outputs. An item is a garment, its first
+    rows in store, and the row of its body."""
     patch_stored, patch_body, patch_bone, tile_stored, tile_patch, charts = ([] for _ in range(6))
     anchor_charts, member_anchor = [], []
     patches, vertices = [], []
@@ -303,7 +302,8 @@ def compose_garments(items: Sequence[tuple[PackedGarment, Place, int]]) -> Compo
         anchor_block += garment.anchor_charts.shape[1]
         patches.append(slice(patch, patch + garment.patch_count))
         vertices.append(slice(VERTICES_PER_BLOCK * block, VERTICES_PER_BLOCK * block + garment.vertex_count))
-        patch, tile, block = patch + garment.patch_count, tile + garment.tile_count, block + garment.block_count
+        patch, tile = patch + garment.patch_count, tile + garment.tile_count
+        block += garment.vertex_charts.shape[1]
     indices = Indices(
         stored=np.concatenate(patch_stored),
         body=np.concatenate(patch_body),

@@ -14,16 +14,16 @@ from drape.engine.calls import call, call_with_scratch
 from drape.engine.library import empty_points
 from drape.graph.layer_feed import REGION_ROW, LayerFeed
 
-_LOGITS = np.log(np.arange(OTHER_STEPS + 1) / OTHER_STEPS + OTHER_LEAST)  # of samples, by how much they are other parts
+_LOGITS = np.log(np.arange(OTHER_STEPS + 1) / OTHER_STEPS + OTHER_LEAST)  # by how much a sample is another part
 
 
 @dataclass(frozen=True, eq=False)
 class PushConstants:
-    """The constants with which the engine pushes a garment.
+    """The constants with which the engine pushes a garment: its ``feed`` as contiguous arrays, and ``logits`` (256,),
+    the logit of a sample by how much it belongs to another part, in 255ths.
 
-    They are its ``feed``, contiguous, and ``logits`` (256,): the logit for each share to which a sample belongs to
-    another part. A garment over others also has the ``region``, ``cloth_member`` and ``cloth_rows`` of a ``LayerFeed``;
-    these are empty for others.
+    A garment over others also has the ``region``, ``cloth_member`` and ``cloth_rows`` of a ``LayerFeed``; these are
+    empty otherwise.
     """
 
     feed: PushFeed
@@ -34,7 +34,7 @@ class PushConstants:
 
     @classmethod
     def of(cls, feed: PushFeed | LayerFeed) -> PushConstants:
-        """Returns the constants that the engine needs of ``feed``."""
+        """Returns the engine's constants for ``feed``."""
         push = (feed.push if isinstance(feed, LayerFeed) else feed).each(np.ascontiguousarray)
         logits, none = _LOGITS.astype(push.patch_fit.dtype), np.empty(0, np.int32)
         if not isinstance(feed, LayerFeed):
@@ -43,7 +43,7 @@ class PushConstants:
 
     @property
     def bytes(self) -> int:
-        """The memory of all arrays [bytes]."""
+        """The memory of all arrays, in bytes."""
         return sum(one.nbytes for one in (*self.feed.flat().values(), self.region, self.cloth_member, self.cloth_rows))
 
 
@@ -56,11 +56,12 @@ def push_frames(
     under: np.ndarray | None = None,
     jets: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Pushes ``vertices`` [m] (F, V, 3), frame by frame, out of the bodies with the samples ``skin`` (F, R, 12, 8).
+    """Returns for F frames the pushed vertices [m] (F, V, 3), how far [m] (F, V) each was moved, and ``coefficients``
+    (F, K, 3, 10) and ``left_m`` (F,) of ``Pushed``. The last two hold only with ``jets``.
 
-    Returns the pushed vertices, how far [m] (F, V) each moved, and ``coefficients`` (F, K, 3, 10) and ``left_m`` (F,)
-    of ``Pushed``, which hold only for ``jets``. A garment over others is pushed out of these too; ``under`` [m] (F, U,
-    3) are their pushed vertices.
+    ``vertices`` [m] (F, V, 3) are pushed out of the bodies with the samples ``skin`` (F, R, 12, 8), up to
+    ``clearance_m`` [m] off them. A garment over others is pushed out of these too; ``under`` [m] (F, U, 3) are their
+    pushed vertices.
     """
     kind, (frames, count) = constants.feed.patch_fit.dtype, vertices.shape[:2]
     pushed, way = np.empty((frames, count, 3), kind), np.empty((frames, count), kind)

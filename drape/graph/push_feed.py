@@ -19,15 +19,17 @@ from drape.graph.feeds import garment_feed
 from drape.graph.packing import tile_charts
 
 KEPT_SHAPES = 64
-RIDGE = 1e-3  # of the mean square of a patch's basis: few vertices do not determine a polynomial
+RIDGE = 1e-3  # share of the mean square of a patch's basis: few vertices do not determine a cubic
 
 
 def pack_push(
     feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, *, hidden: np.ndarray | None = None
 ) -> PushFeed:
-    """The push-out's constants for the garment whose ``drape.graph.feeds.garment_feed`` is ``feed``, as numpy arrays.
+    """Returns the push-out's constants for the garment with the ``garment_feed`` ``feed``, as numpy arrays.
 
-    ``vertices`` [m] (V, 3) are its rest vertices, as many as ``feed`` has. Refuses (``ArtifactError``) other counts.
+    ``vertices`` [m] (V, 3) are its vertices at rest, as many as ``feed`` has, on the body with the samples ``skin``;
+    ``hidden`` (S,) bool are samples under cloth, which push nothing. Raises ``ArtifactError`` for another number of
+    vertices.
     """
     count = len(feed["chart_patch"])
     if len(vertices) != count:
@@ -42,7 +44,8 @@ def pack_push(
 
 
 class SkinShapes:
-    """The skin of ``body`` in any shape. The shapes used last are kept; each takes a megabyte."""
+    """The skin samples of ``body`` in any shape. The ``KEPT_SHAPES`` shapes used last are kept; each takes a
+    megabyte."""
 
     def __init__(self, body: BodyModel) -> None:
         self._skin = shaped_skin(body)
@@ -50,12 +53,13 @@ class SkinShapes:
 
     @property
     def counts(self) -> np.ndarray:
-        """How many bones move the skin of each part (P,), as ``ShapedSkin.counts``."""
+        """How many bones move the skin of each of P parts, (P,)."""
         return self._skin.counts
 
     def feed(self, betas: np.ndarray) -> dict[str, np.ndarray]:
-        """Returns the inputs of the packed graph for the skins of bodies with ``betas`` (B, 10), of U different shapes:
-        ``skin_rows`` (U, P, n, 4, 144), ``skin_bones`` (P, n) and ``body_shape`` (B,), the shape of each body."""
+        """Returns the inputs of the packed graph for the skins of B bodies with the shapes ``betas`` (B, 10), U
+        different ones: ``skin_rows`` (U, P, n, 4, 144) float32, ``skin_bones`` (P, n) and ``body_shape`` (B,), the row
+        of each body's shape."""
         if len(betas) == 1:  # most frames of a stream
             rows = self._rows(np.asarray(betas, np.float32).tobytes())[None]
             return {"skin_rows": rows, "skin_bones": self._skin.bones, "body_shape": np.zeros(1, np.int32)}
@@ -78,16 +82,16 @@ class SkinShapes:
 
 
 def push_feed(garment: Garment, body: BodyModel) -> PushFeed:
-    """The constants of all vertices of the subdivided mesh of ``garment`` on ``body``."""
+    """Returns the push-out's constants for all vertices of the fine mesh of ``garment``, on ``body``."""
     return pack_push(garment_feed(garment, fine=True), garment.vertices, body_skin(body))
 
 
 def pushed_jets(jet: Array, rotation: Array, scale: Array, coefficients: Array) -> Array:
-    """Returns the jets (F, K, 45) of a stream with the push-out added to them, in their patches' frames.
+    """Returns a stream's jets (F, K, 45), in patch scales and in the patches' frames, with the push-out added to them.
 
     ``jet`` (F, K, 27 or 45) and the frames' ``rotation`` (F, K, 3, 3) are the drape's, ``scale`` [m] (K,) is the
-    patches'. ``coefficients`` (F, K, 3, 10) are those of ``drape.contact.projection.Pushed``. A cubic is part of a full
-    jet of order 4, so the sum is exact.
+    patches'. ``coefficients`` [m] (F, K, 3, 10) are those of ``drape.contact.projection.Pushed``. A cubic is part of a
+    full jet of order 4, so the sum is exact.
     """
     xp = namespace(jet)
     local = (xp.matrix_transpose(rotation) @ coefficients) / scale[:, None, None]

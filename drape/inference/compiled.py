@@ -21,7 +21,7 @@ from drape.inference.graph_names import FIRST, JETS, SKIN
 from drape.network.bodies import PosedBody, pose_bodies
 from drape.network.dense import OUTPUTS, Layer
 from drape.network.drape import checked_jets
-from drape.network.garment_encoder import encoded, garment_encoder
+from drape.network.garment_encoder import encode_patches, garment_encoder
 from drape.network.motion import advance_encoder, motion_encoder
 from drape.network.patch_rows import PatchRows, patch_rows
 from drape.network.weights import weights_of
@@ -54,7 +54,7 @@ class CompiledNetwork:
 
     def first(self, features: np.ndarray) -> np.ndarray:
         """Returns the garment encoder's output (K, n) float32 for patches with ``features`` (K, m)."""
-        return encoded(self._garments, features)
+        return encode_patches(self._garments, features)
 
     def advance(self, features: np.ndarray, state: np.ndarray, dt_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Codes (n, C) and next states (n, H) of a dynamic network, for motion (n, 24, 12), states (n, H) and steps

@@ -16,20 +16,21 @@ Cloth = TypeVar("Cloth", FoldConstants, Levels)
 
 
 def for_card(cloth: Cloth) -> Cloth:
-    """The same ``cloth`` with the levels of its factor's panels."""
+    """Returns ``cloth`` with the levels of its stiffness factor, the order in which a card multiplies panels
+    (``PanelLevels``)."""
     if isinstance(cloth, Levels):
         return replace(cloth, coarse=for_card(cloth.coarse))
     return replace(cloth, factor=cloth.factor._replace(levels=panel_levels(cloth.factor)))
 
 
 def panel_levels(factor: StiffnessFactor) -> PanelLevels:
-    """The levels of the panels of ``factor``."""
+    """Returns the levels of the panels of ``factor``, the order in which a card multiplies them."""
     panels, count = len(factor.size), len(factor.place)
     panel = np.repeat(np.arange(panels), np.diff(factor.column))
     entry = np.concatenate([np.arange(size) + start for size, start in zip(factor.size, factor.start, strict=False)])
     member, of = factor.member[entry], np.repeat(np.arange(panels), factor.size)
     level = np.zeros(panels, np.int64)
-    for own, above in np.unique(np.stack([of, panel[member]]), axis=1).T:  # as panels come
+    for own, above in np.unique(np.stack([of, panel[member]]), axis=1).T:  # panels ascend
         if above > own:
             level[above] = max(level[above], level[own] + 1)
     later = panel[member] > of
@@ -40,8 +41,8 @@ def panel_levels(factor: StiffnessFactor) -> PanelLevels:
     rows = np.diff(factor.start) // LANES
     row_panel = np.repeat(np.arange(panels), rows)
     row = LANES * (np.arange(rows.sum()) - np.repeat(np.cumsum(rows) - rows, rows))
-    blocks, columns = (np.argsort(level[each], kind="stable") for each in (row_panel, panel))
-    starts = [np.searchsorted(np.sort(level[each]), np.arange(level.max() + 2)) for each in (row_panel, panel)]
+    blocks, columns = (np.argsort(level[owner], kind="stable") for owner in (row_panel, panel))
+    starts = [np.searchsorted(np.sort(level[owner]), np.arange(level.max() + 2)) for owner in (row_panel, panel)]
     left = np.append(0, np.cumsum(np.bincount(member[later], minlength=count)))
-    found = starts[0], row_panel[blocks], row[blocks], starts[1], columns, panel, left, to
-    return PanelLevels(*(each.astype(np.int32) for each in found))
+    tables = starts[0], row_panel[blocks], row[blocks], starts[1], columns, panel, left, to
+    return PanelLevels(*(table.astype(np.int32) for table in tables))

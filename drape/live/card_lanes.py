@@ -8,12 +8,12 @@ from functools import partial
 from typing import Any
 
 from drape.engine.card import DRIVER, Card, count_cards, kernels
-from drape.live.card_lane import Asked, Lane, LaneReport
+from drape.live.card_lane import Lane, LaneJob, LaneReport
 
 
 def open_lanes(driver: str = DRIVER) -> Lanes | None:
-    """Returns the lanes of this machine's cards; the ``fault`` of one says why it cannot be used. None without the
-    extra ``cuda``."""
+    """Returns the lanes of this machine's cards, at least one; the ``fault`` of a lane says why its card cannot be
+    used. None without the extra ``cuda``."""
     path = kernels()
     if path is None:
         return None
@@ -22,48 +22,51 @@ def open_lanes(driver: str = DRIVER) -> Lanes | None:
 
 
 class Lanes:
-    """The ``lanes`` of cards, one at least. Streams of a card that fails go on by the others, or by the processor."""
+    """The ``lanes`` of all cards, at least one. Streams of a card that fails go on by another one, or by the
+    processor."""
 
     def __init__(self, lanes: Sequence[Lane]) -> None:
         self.lanes = tuple(lanes)
 
     def close(self) -> None:
-        """Ends the threads of all lanes."""
+        """Ends the threads of all lanes, once all that waits is drawn."""
         for lane in self.lanes:
             lane.close()
 
     @property
     def works(self) -> bool:
-        """Whether frames are the cards'."""
+        """Whether any card draws frames."""
         return any(lane.works for lane in self.lanes)
 
     @property
     def roomiest(self) -> Lane:
-        """The lane with the most free memory of those that work."""
+        """The lane with the most free memory among those that work; any lane if none does."""
         return max(self.lanes, key=lambda lane: (lane.works, lane.free_bytes))
 
     def of(self, memories: Iterable[Any]) -> Lane:
-        """The lane of a stream: where the first of its ``memories`` that are on a card is, if that works."""
+        """Returns the lane for a stream with these ``memories``: the one of the first memory on a card, if it works,
+        else the roomiest."""
         slots = (getattr(memory, "slot", None) for memory in memories)
         own = next((slot.lane for slot in slots if slot is not None and slot.lane.works), None)
         return own or self.roomiest
 
-    def draw(self, jobs: Sequence[tuple[Lane, Asked]]) -> None:
-        """Waits until the frames of all ``jobs`` are drawn by their lanes, or these have failed."""
+    def draw(self, jobs: Sequence[tuple[Lane, LaneJob]]) -> None:
+        """Asks each lane for its job, and waits until all ``jobs`` are drawn or their cards have failed."""
         for lane, job in jobs:
             lane.ask(job)
         for lane, job in jobs:
             lane.wait_for(job)
 
     def report(self) -> LaneReport:
-        """How the lanes do, together: shares in the mean, the oldest frame that waits, and sums."""
-        told = [lane.report() for lane in self.lanes]
+        """Returns the state of all lanes as one: mean shares, the age of the oldest frame that waits, and sums of the
+        counts."""
+        reports = [lane.report() for lane in self.lanes]
         return LaneReport(
-            card=", ".join(one.card for one in told if one.card),
-            fault="; ".join(one.fault for one in told if one.fault),
-            occupied=sum(one.occupied for one in told) / len(told),
-            busy=sum(one.busy for one in told) / len(told),
-            queue_s=max(one.queue_s for one in told),
-            frames=sum(one.frames for one in told),
-            launches=sum(one.launches for one in told),
+            card=", ".join(report.card for report in reports if report.card),
+            fault="; ".join(report.fault for report in reports if report.fault),
+            occupied=sum(report.occupied for report in reports) / len(reports),
+            busy=sum(report.busy for report in reports) / len(reports),
+            queue_s=max(report.queue_s for report in reports),
+            frames=sum(report.frames for report in reports),
+            launches=sum(report.launches for report in reports),
         )

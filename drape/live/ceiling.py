@@ -19,10 +19,11 @@ from drape.live.fold_constants import LaidCloth
 
 
 def ceiling_over(vertices: np.ndarray, outer: LaidCloth, skin: np.ndarray) -> np.ndarray:
-    """The ceiling (S, 5) that the garment ``outer`` with ``vertices`` [m] (V, 3) is over the samples ``skin`` (S, 8).
+    """Returns the ceiling (S, 5) that the garment ``outer`` with ``vertices`` [m] (V, 3) is over the samples ``skin``
+    (S, 8), rows of ``sample_table`` in the same frame.
 
-    A row has the height [m] over the sample, infinite where nothing covers it, the unit normal n of a plane and its
-    offset d [m]: n . x - d is how far x is above it.
+    A row has the ceiling's height [m] over the sample, infinite where nothing covers it, the unit normal n of a plane
+    and its offset d [m]: a point x is n . x - d above the ceiling.
     """
     dtype, ceiling = outer.dtype, np.empty((len(skin), 5), outer.dtype)
     x, samples = np.ascontiguousarray(vertices, dtype), np.ascontiguousarray(skin, dtype)
@@ -31,18 +32,18 @@ def ceiling_over(vertices: np.ndarray, outer: LaidCloth, skin: np.ndarray) -> np
 
 
 def lower(ceiling: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The lower of two ceilings (..., S, 5), sample by sample."""
+    """Returns for each sample the lower of two ceilings (..., S, 5), rows as of ``ceiling_over``."""
     return np.where(other[..., :1] < ceiling[..., :1], other, ceiling)
 
 
-def pressed(
+def press(
     vertices: np.ndarray, inner: LaidCloth, own: np.ndarray, ground: np.ndarray, ceiling: np.ndarray
 ) -> np.ndarray:
     """Returns the ``vertices`` [m] (V, 3) of the garment ``inner``, moved below the ``ceiling`` (S, 5) together with
-    the cloth around them.
+    the cloth around them; ``vertices`` itself where none is too high.
 
-    ``ground`` (S, 8) are the samples that the garment rests on, and ``own`` (P,) is the sample that each place is at.
-    Where nothing is too high, ``vertices`` themselves are returned.
+    ``ground`` (S, 8) are the samples that the garment rests on, and ``own`` (P,) is the sample at each place of its
+    sheet.
     """
     dtype = inner.dtype
     x, samples = np.ascontiguousarray(vertices, dtype), np.ascontiguousarray(ground, dtype)

@@ -21,11 +21,11 @@ _FLOAT64 = np.dtype(np.float64)
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One frame as it comes in.
+    """A frame as folds and swing take it. All coordinates count from the same origin.
 
-    ``vertices`` [m] (V, 3) are the network's; ``skin`` (S, 8) are the samples of the posed skin, as
-    ``drape.contact.samples.sample_table`` has them; ``colliders`` (M, 16) are the scene's. All count from the same
-    origin. ``time_s`` [s] is by the client's clock.
+    ``vertices`` [m] (V, 3) are the network's; ``skin`` (S, 8) are the posed samples of the skin, rows of
+    ``drape.contact.samples.sample_table``; ``colliders`` (M, 16) are the scene's (``drape.geometry.colliders``).
+    ``time_s`` [s] is by the client's clock.
     """
 
     vertices: np.ndarray
@@ -34,21 +34,20 @@ class Frame:
     colliders: np.ndarray = field(default_factory=NONE.copy)
 
     def around(self, dtype: np.dtype) -> Surroundings:
-        """Returns the surroundings of the cloth, its skin as floats of ``dtype``."""
+        """Returns skin and colliders as the engine reads them: the skin of ``dtype``, the colliders float64."""
         return Surroundings(writable(self.skin, dtype), writable(self.colliders, _FLOAT64))
 
 
 def writable(array: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    """Returns ``array`` in C order and of ``dtype``, in memory that may be written, as kernels want it. It is copied
-    only if it is not so already."""
+    """Returns ``array`` of ``dtype``, contiguous and in memory that may be written, as kernels want it: itself if it is
+    so already, else a copy."""
     fits = array.dtype == dtype and array.flags.c_contiguous and array.flags.writeable
     return array if fits else np.array(array, dtype, order="C")
 
 
 class Surroundings(NamedTuple):
-    """The surroundings that cloth does not pass through: the samples of the ``skin`` (S, 8) and the scene's
-    ``colliders`` (M, 16).
-    """
+    """What cloth does not pass through, as the engine reads it: the samples ``skin`` (S, 8), rows of ``sample_table``,
+    and the scene's ``colliders`` (M, 16)."""
 
     skin: np.ndarray
     colliders: np.ndarray
@@ -56,7 +55,8 @@ class Surroundings(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FrameMemory:
-    """A frame as folds and swing both remember it: its time [s], and the ``network``'s points [m] (P, 3)."""
+    """What both folds and swing remember of a frame: its time [s], and where the network had P points of the cloth, [m]
+    (P, 3)."""
 
     time_s: float
     network: np.ndarray
@@ -66,14 +66,15 @@ class FrameMemory:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def leads_to(self, time_s: float) -> bool:
-        """Whether a frame at ``time_s`` [s] may go on from this one, if it is no cut."""
+        """Whether ``time_s`` [s] is so soon after this frame, and not before it, that a frame then may go on from
+        it."""
         return 0.0 <= time_s - self.time_s <= PAUSE_S
 
     def at(self, time_s: float) -> Self:
-        """Returns the same memory at another time [s]."""
+        """Returns the same memory, of a frame at ``time_s`` [s]."""
         return replace(self, time_s=time_s)
 
 
 def step_between(before_s: float, after_s: float) -> float:
-    """The step [s] from one frame to the next one."""
+    """Returns the time step [s] between frames at ``before_s`` and ``after_s``, at least ``SHORTEST_STEP_S``."""
     return max(after_s - before_s, SHORTEST_STEP_S)

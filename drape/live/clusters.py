@@ -12,26 +12,26 @@ from scipy.sparse.csgraph import dijkstra
 
 from drape.engine.library import LANES
 
-LANDMARKS = 6  # the ways along the cloth to so many vertices tell where on it a vertex is
+LANDMARKS = 6  # distances along the cloth to so many vertices say where on it a vertex is
 
 
 def clusters(graph: scipy.sparse.csr_array) -> np.ndarray:
-    """Returns the vertices (C, ``LANES``) int32 of each cluster; ``graph`` (V, V) has the lengths [m] of the cloth's
-    edges.
+    """Returns the vertices (C, ``LANES``) int32 of clusters that lie together on a cloth; ``graph`` (V, V) has the
+    lengths [m] of its edges. Each vertex is in one cluster; one that is not full repeats a vertex.
 
-    The cloth is halved again and again by distances along it to landmarks. A cluster that is not full repeats a vertex.
+    The cloth is halved again and again by distances along it to landmarks.
     """
     count = len(graph.indptr) - 1
     ways, nearest, landmark = np.empty((count, LANDMARKS)), np.full(count, np.inf), 0
     for number in range(LANDMARKS):
         way = dijkstra(graph, indices=landmark)
         nearest = np.minimum(nearest, way)
-        landmark = int(np.argmax(nearest))  # what none of them leads to comes first
+        landmark = int(np.argmax(nearest))  # the farthest vertex; infinite where no landmark is connected with it
         ways[:, number] = np.where(np.isfinite(way), way, 1.0 + 2.0 * way[np.isfinite(way)].max())
-    found = _halved(np.arange(count), ways)
-    begins = np.concatenate([[0], np.cumsum([len(one) for one in found])])
+    groups = _halved(np.arange(count), ways)
+    begins = np.concatenate([[0], np.cumsum([len(group) for group in groups])])
     entry = np.minimum(begins[:-1, None] + np.arange(LANES), begins[1:, None] - 1)
-    return np.concatenate(found)[entry].astype(np.int32)
+    return np.concatenate(groups)[entry].astype(np.int32)
 
 
 def _halved(vertices: np.ndarray, ways: np.ndarray) -> list[np.ndarray]:

@@ -15,50 +15,50 @@ import numpy as np
 
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import nearest_vertices
-from drape.live.room import reached
+from drape.live.room import within_reach
 
-NEAREST = 8  # coarse vertices that one takes from
-LEAST = 3  # with fewer a vertex takes the nearest one's
-REACH = 3.5  # times the coarse cloth's mean edge
+NEAREST = 8  # coarse vertices that move a fine one
+LEAST = 3  # with fewer in reach the nearest one alone moves a vertex
+REACH = 3.5  # the reach in mean edges of the coarse cloth
 WIDER, POLE, TINY = 1.05, 1e-4, 1e-9
 
 
 def coarse_weights(
-    vertices: np.ndarray, faces: np.ndarray, kept: np.ndarray, edge_m: float
+    vertices: np.ndarray, faces: np.ndarray, chosen: np.ndarray, edge_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns from which coarse vertices each fine one takes its movement, and how much: numbers (V, ``NEAREST``) int
-    into ``kept``, and weights (V, ``NEAREST``) whose rows sum to 1.
+    """Returns the coarse vertices whose movements move each fine vertex, as numbers (V, ``NEAREST``) int into
+    ``chosen``, and their weights (V, ``NEAREST``), whose rows sum to 1.
 
-    ``vertices`` [m] (V, 3) and ``faces`` (F, 3) are the fine cloth; ``kept`` (n,) are the fine vertices that the coarse
-    cloth has. ``edge_m`` [m] is the mean edge of the coarse cloth. A kept vertex takes all from itself.
+    ``vertices`` [m] (V, 3) and ``faces`` (F, 3) are the fine cloth; ``chosen`` (n,) are the fine vertices that the
+    coarse cloth has, and ``edge_m`` [m] is its mean edge. A chosen vertex moves with itself alone.
     """
     count, number = len(vertices), np.full(len(vertices), -1)
-    number[kept] = np.arange(len(kept))
+    number[chosen] = np.arange(len(chosen))
     graph = mesh_graphs.edge_graph(vertices, faces)
     graph.sort_indices()
-    start, other, way = reached(graph.indptr, graph.indices, graph.data, REACH * edge_m)
+    start, other, way = within_reach(graph.indptr, graph.indices, graph.data, REACH * edge_m)
     coarse = number[other] >= 0
-    held = np.concatenate([[0], np.cumsum(coarse)])[start]  # where each vertex's list begins among those
-    row, rank = in_lists(held)
+    begins = np.concatenate([[0], np.cumsum(coarse)])[start]  # where each vertex's list of coarse vertices begins
+    row, rank = list_entries(begins)
     ways = np.full((count, max(NEAREST, int(rank.max(initial=0)) + 1)), np.inf)
     ways[row, rank] = way[coarse]
     order = np.argsort(ways, axis=1, kind="stable")[:, :NEAREST]
     far = np.take_along_axis(ways, order, axis=1)
-    entry = np.minimum(held[:-1, None] + order, held[-1] - 1)
+    entry = np.minimum(begins[:-1, None] + order, begins[-1] - 1)
     index = np.where(np.isfinite(far), number[other[coarse]][entry], 0)
     few = np.isfinite(far).sum(axis=1) < LEAST
     weight = np.tile(np.eye(NEAREST)[0], (count, 1))
     normals = meshes.vertex_normals(vertices, faces)
-    weight[~few] = _weights(vertices[~few], normals[~few], vertices[kept][index[~few]], far[~few])
+    weight[~few] = _weights(vertices[~few], normals[~few], vertices[chosen][index[~few]], far[~few])
     index[few] = 0
-    _, index[few, 0] = nearest_vertices(vertices[few], vertices[kept])
+    _, index[few, 0] = nearest_vertices(vertices[few], vertices[chosen])
     return index, weight
 
 
-def in_lists(begins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the number of the list (E,) and the place in that list (E,) of each of E entries.
+def list_entries(begins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns for each of E entries the number of its list, (E,), and its place in that list, (E,).
 
-    The lists lie one after the other; list i has the entries from ``begins[i]`` to ``begins[i + 1]`` (n + 1,).
+    The lists lie one after the other; list i has the entries ``begins[i]`` to ``begins[i + 1]`` (n + 1,).
     """
     lengths = np.diff(begins)
     row = np.repeat(np.arange(len(lengths)), lengths)

@@ -10,6 +10,7 @@ from drape.live.clock import Surroundings
 
 
 def leave(x: np.ndarray, colliders: np.ndarray, clearance_m: float) -> None:
-    """Moves ``x`` [m] (V, 3) in place out of ``colliders`` (M, 16), up to the clearance, wherever the skin is."""
+    """Moves the vertices ``x`` [m] (V, 3) in place out of ``colliders`` (M, 16), up to ``clearance_m`` [m] off them.
+    The skin does not count."""
     around = Surroundings(np.zeros((0, 8), x.dtype), np.ascontiguousarray(colliders, np.float64))
     call("leave", x.dtype, x, len(x), Record("Surroundings", around), float(clearance_m))

@@ -20,8 +20,8 @@ Graph = tuple[np.ndarray, np.ndarray]
 
 
 class Costs(NamedTuple):
-    """The cycles of processor time that parts of a run of columns cost, roughly: each ``row`` of sixteen entries of a
-    column, each ``column``, each row of ``members``, and the ``run`` itself."""
+    """The time that the parts of a run of columns cost, in cycles of a processor, roughly: ``row`` of each sixteen
+    entries of a column, ``column`` of each column, ``members`` of each sixteen rows, and ``run`` of the run itself."""
 
     row: float
     column: float
@@ -32,12 +32,12 @@ class Costs(NamedTuple):
 COSTS = Costs(4.0, 15.0, 30.0, 40.0)
 
 
-def dissected(start: np.ndarray, neighbour: np.ndarray) -> np.ndarray:
-    """The vertices (V,) of a graph in the order of nested dissection; neighbours of v from ``start[v]`` on, itself
-    allowed."""
+def dissection_order(start: np.ndarray, neighbour: np.ndarray) -> np.ndarray:
+    """Returns the vertices (V,) int32 of a graph in the order of nested dissection. The neighbours of vertex v are
+    ``neighbour[start[v] : start[v + 1]]``; v may be among them."""
     graph = _whole(start, neighbour)
     order = np.arange(len(start) - 1, dtype=np.int32)
-    part, one, two = np.zeros_like(order), np.empty_like(order), np.empty_like(order)
+    part, from_first, from_end = np.zeros_like(order), np.empty_like(order), np.empty_like(order)
     waiting, number = [(0, len(order))], 0
     while waiting:
         low, high = waiting.pop()
@@ -46,14 +46,14 @@ def dissected(start: np.ndarray, neighbour: np.ndarray) -> np.ndarray:
             continue
         number += 1
         part[nodes] = number
-        met = _by_distance(graph, part, nodes, nodes[0], one)
-        if len(met) < len(nodes):  # parts that are not connected need no cut
-            order[low:high] = np.concatenate([met, nodes[one[nodes] < 0]])
-            waiting += [(low, low + len(met)), (low + len(met), high)]
+        line = _by_distance(graph, part, nodes, nodes[0], from_first)
+        if len(line) < len(nodes):  # parts that are not connected need no cut
+            order[low:high] = np.concatenate([line, nodes[from_first[nodes] < 0]])
+            waiting += [(low, low + len(line)), (low + len(line), high)]
             continue
-        end = _by_distance(graph, part, nodes, met[-1], one)[-1]
-        _by_distance(graph, part, nodes, end, two)
-        nodes = nodes[np.argsort(one[nodes] - two[nodes], kind="stable")]
+        end = _by_distance(graph, part, nodes, line[-1], from_first)[-1]
+        _by_distance(graph, part, nodes, end, from_end)
+        nodes = nodes[np.argsort(from_first[nodes] - from_end[nodes], kind="stable")]
         part[nodes[:half]] = -number
         near = _at_the_other(graph, part, nodes)
         if near[:half].sum() < near[half:].sum():
@@ -82,15 +82,16 @@ def _at_the_other(graph: Graph, part: np.ndarray, nodes: np.ndarray) -> np.ndarr
 
 
 def runs(start: np.ndarray, row: np.ndarray, costs: Costs) -> np.ndarray:
-    """The beginnings (N + 1,) of runs of columns that together take the least time by ``costs``.
+    """Returns the first columns (N + 1,) of the runs that take the least time by ``costs``, and last the number of
+    columns.
 
     Column j of the lower triangle has the rows ``row[start[j] : start[j + 1]]`` below its diagonal.
     """
-    begin, found = np.empty(len(start), np.int32), [len(start) - 1]
+    begin, ends = np.empty(len(start), np.int32), [len(start) - 1]
     call_with_scratch("runs", np.float64, *_whole(start, row), len(start) - 1, WIDEST, *costs, begin)
-    while found[-1] > 0:
-        found.append(int(begin[found[-1]]))
-    return np.array(found[::-1])
+    while ends[-1] > 0:
+        ends.append(int(begin[ends[-1]]))
+    return np.array(ends[::-1])
 
 
 def _whole(start: np.ndarray, neighbour: np.ndarray) -> Graph:

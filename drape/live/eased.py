@@ -14,28 +14,32 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.engine.packer import Record, Recorded
-from drape.live.clock import Frame, FrameMemory, step_between
+from drape.live.clock import FrameMemory, step_between
 from drape.live.fold_constants import FoldConstants
-from drape.live.fold_step import FoldCall, FoldEffort, FoldReport, framed, no_arrays, no_past
+from drape.live.fold_step import FoldCall, no_arrays, no_past
 from drape.live.sheet import Sheet
 from drape.live.untangle import Tangles
 
 
 @dataclass(frozen=True, eq=False)
 class LiftMemory(FrameMemory):
-    """A frame of cloth that was eased and lifted alone: at the coarse cloth's places the network's points, the samples
-    ``own`` (P,), and how far it was ``eased`` [m] (P, 3), in the frames of the network's surface."""
+    """What a frame of cloth that was eased and lifted, without folds, leaves to the next one. Its P points are the
+    places of the coarse cloth.
+
+    ``own`` (P,) is the skin sample under each, ``eased`` [m] (P, 3) how far it was eased, in the local frames of the
+    network's surface.
+    """
 
     own: np.ndarray
     eased: np.ndarray
 
 
 class FineLevel(NamedTuple):
-    """The fine cloth of two levels, its ``sheet``, and how its places follow coarse ones.
+    """The fine cloth of two levels: its ``sheet`` of P places, and how these follow the places of the coarse cloth.
 
-    ``near`` and ``weight`` are flat, ``NEAREST`` rows of ``LANES`` numbers a block: the coarse places from which each
-    place takes its movement, and how much. ``parent`` (P,) is the coarse place that it takes most from. ``tangles`` are
-    the triangles that may cross.
+    ``near`` and ``weight`` are flat, ``NEAREST`` rows of ``LANES`` numbers a block: the coarse places whose movements
+    move each place, and their weights. ``parent`` (P,) is the coarse place of the largest weight. ``tangles`` are the
+    triangles that may cross.
     """
 
     sheet: Sheet
@@ -47,25 +51,19 @@ class FineLevel(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Levels(Recorded):
-    """The ``coarse`` cloth, the fine vertex ``kept`` (n,) at each of its places, and the ``fine`` level."""
+    """The two levels of a cloth: the ``coarse`` one, the ``fine`` one, and ``kept`` (n,), the fine vertex at each place
+    of the coarse cloth."""
 
     coarse: FoldConstants
     kept: np.ndarray
     fine: FineLevel
 
 
-def lifted_alone(
-    levels: Levels, memory: LiftMemory | None, frame: Frame, effort: FoldEffort
-) -> tuple[np.ndarray, LiftMemory, FoldReport]:
-    """Returns the vertices [m] (V, 3) of ``frame`` after easing and lift, the memory for the next frame, and a report.
-
-    The vertices are up to the clearance off the skin, and out of the scene's colliders.
-    """
-    return framed(lift_call(levels, memory, frame.time_s), frame, effort)
-
-
 def lift_call(levels: Levels, memory: LiftMemory | None, time_s: float) -> FoldCall:
-    """The call of ``lifted_alone`` for a frame at ``time_s`` [s]."""
+    """Returns the engine's call of easing and lift for a frame at ``time_s`` [s] after ``memory``.
+
+    Its vertices are at least the effort's clearance off the skin, and out of the scene's colliders.
+    """
     dtype, places = levels.fine.sheet.own.dtype, len(levels.kept)
     none, past = no_arrays(dtype), no_past(dtype)
     if memory is not None and memory.leads_to(time_s):

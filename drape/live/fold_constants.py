@@ -29,19 +29,19 @@ from drape.live.whole import StiffnessFactor, stiffness_factor
 # rest has all of it, cloth that hangs has the least.
 LEASH_N_M3 = 1000.0
 LYING_M, HANGING_M, LEAST = 0.01, 0.025, 0.03
-# Planes of physics stand off the skin that is seen by 0.2 to 0.3 mm in the mean, those of samples do not. Contact
-# begins so much farther out than in the energy of cloth, and a little for steps that are few.
+# Planes of physics stand off the skin that is seen by 0.2 to 0.3 mm in the mean, those of samples do not. So contact
+# begins so much farther out than in the energy of cloth, and a little more because steps are few.
 INSIDE_M = 0.0004
 HOLD = 0.4  # the share of contact's stiffness that steps of the whole allow leash and friction
 
 
 @dataclass(frozen=True, eq=False)
 class WornCloth:
-    """A ``cloth`` of ``material`` on a body, in the order of its vertices.
+    """A cloth of V vertices on a body, from which the engine's constants are made.
 
-    Each vertex is held with ``band_n_per_m`` (V,) within a centimetre of the network's place, most at a waistband.
-    ``graph`` are the body's skin samples, ``index`` (V,) the one nearest to each vertex at rest, and ``friction`` the
-    coefficient between cloth and skin.
+    ``band_n_per_m`` [N/m] (V,) is the stiffness of the spring that holds a vertex within a centimetre of the network's
+    place, the largest at a waistband. ``graph`` are the body's skin samples, ``index`` (V,) the one nearest to each
+    vertex at rest, and ``friction`` is the coefficient between cloth and skin.
     """
 
     cloth: ClothMesh
@@ -53,10 +53,11 @@ class WornCloth:
 
     @property
     def springs_n_per_m(self) -> np.ndarray:
-        """The springs (V,) that hold vertices in steps of the whole cloth, besides contact's.
+        """The stiffness [N/m] (V,) of the springs that hold vertices in steps of the whole cloth, without that of
+        contact.
 
-        These are the leash, and ``HOLD`` of contact's stiffness where cloth lies on the skin: friction holds it there,
-        and so does the leash where it is tightened for want of room.
+        It is the leash, and ``HOLD`` of contact's stiffness where cloth lies on the skin: friction holds it there, and
+        so does the leash where it is tightened for want of room.
         """
         contact = contact_n_per_m(self.cloth, self.material)
         leash = np.maximum(LEASH_N_M3 * self.cloth.vertex_area, np.finfo(float).tiny)  # a vertex may have no area
@@ -67,7 +68,7 @@ class WornCloth:
 @dataclass(frozen=True, eq=False)
 class LaidCloth(Recorded):
     """The constants of a cloth that garments over and below it read: its ``sheet``, the skin's ``graph``, and ``index``
-    (P,), the sample nearest to each place at rest."""
+    (P,), the sample nearest to each place of the sheet at rest."""
 
     sheet: Sheet
     graph: SkinGraph
@@ -75,17 +76,18 @@ class LaidCloth(Recorded):
 
     @property
     def dtype(self) -> np.dtype:
-        """The type of the sheet's floats, float32 or float64."""
+        """The dtype of the sheet's floats, float32 or float64."""
         return self.sheet.own.dtype
 
 
 @dataclass(frozen=True, eq=False)
 class FoldConstants(Recorded):
-    """The arrays that the engine reads: the cloth's ``sheet``, the ``factor`` of its stiffness, the skin's ``graph``.
+    """The constants of folds of one cloth as the engine reads them: its ``sheet`` of P places, the ``factor`` of its
+    stiffness, and the skin's ``graph``.
 
-    ``neighbours``: which vertices are of one sheet; ``index`` (P,): the sample nearest to each place at rest;
-    ``friction`` with the skin, in frames with a past; ``hem`` (H, 3): places of border vertices, each between its
-    neighbours along the border; ``tangles``: the triangles that may cross.
+    ``neighbours`` are the vertices that may be of one sheet with each; ``index`` (P,) is the sample nearest to each
+    place at rest; ``friction`` is that with the skin. ``hem`` (H, 3) are the places of border vertices, each between
+    its neighbours along the border. ``tangles`` are the triangles that may cross.
     """
 
     sheet: Sheet
@@ -99,40 +101,42 @@ class FoldConstants(Recorded):
 
     @classmethod
     def of(cls, worn: WornCloth, *, dtype: type[np.floating] = np.float32) -> FoldConstants:
-        """The constants of ``worn``, floats of ``dtype``."""
-        made = sheet(worn.cloth, worn.material, worn.band_n_per_m, dtype=dtype)
-        factor = stiffness_factor(worn.cloth, worn.material, worn.springs_n_per_m, made)
+        """Returns the constants of ``worn``, floats of ``dtype``."""
+        tables = sheet(worn.cloth, worn.material, worn.band_n_per_m, dtype=dtype)
+        factor = stiffness_factor(worn.cloth, worn.material, worn.springs_n_per_m, tables)
         neighbours = sheet_neighbours(worn.cloth)
-        hem = hem_places(worn.cloth.faces, made.place)
-        tangles = tangles_of(worn.cloth.faces, made.place)
-        graph, index = worn.graph.of_type(dtype), worn.index[made.vertex]
-        return cls(made, factor, graph, neighbours, index, worn.friction, hem, tangles)
+        hem = hem_places(worn.cloth.faces, tables.place)
+        tangles = tangles_of(worn.cloth.faces, tables.place)
+        graph, index = worn.graph.of_type(dtype), worn.index[tables.vertex]
+        return cls(tables, factor, graph, neighbours, index, worn.friction, hem, tangles)
 
     @property
     def nbytes(self) -> int:
-        """The memory of the arrays [bytes]."""
+        """The memory of the arrays, in bytes."""
         return array_bytes(self)
 
     @cached_property
     def laid(self) -> LaidCloth:
-        """Returns the part of these constants that garments over and below the cloth read."""
+        """The constants that garments over and below the cloth read."""
         return LaidCloth(self.sheet, self.graph, self.index)
 
 
 def hem_places(faces: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """The places (H, 3) of every border vertex of ``faces``, between those of its neighbours along the border."""
+    """Returns for every border vertex of ``faces`` the places (H, 3) int32 of the vertex before it along the border,
+    its own, and that of the vertex after it. ``place`` (V,) is the place of each vertex in a sheet."""
     loops = [loop for loop in meshes.boundary_loops(faces) if len(loop) > 2]
     triples = [np.stack([np.roll(loop, 1), loop, np.roll(loop, -1)], axis=1) for loop in loops]
     return place[np.concatenate([np.zeros((0, 3), np.int64), *triples])].astype(np.int32)
 
 
 def fold_constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> FoldConstants:
-    """The constants of ``garment`` on ``body``, made of ``fabric`` or else its own; takes a third of a second."""
+    """Returns the constants of folds for ``garment`` on ``body``, made of ``fabric`` or else its own. It takes a third
+    of a second."""
     return FoldConstants.of(worn_cloth(garment, body, fabric))
 
 
 def worn_cloth(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> WornCloth:
-    """Returns the delivered mesh of ``garment`` as cloth on ``body``, made of ``fabric`` or else of its own."""
+    """Returns the delivered mesh of ``garment`` as a cloth on ``body``, made of ``fabric`` or else its own."""
     count = garment.vertex_count
     vertices, faces = garment.vertices[:count].astype(np.float64), garment.faces.astype(np.int64)
     cloth = ClothMesh.of(garment.delivered_rest(), faces, count)
@@ -140,37 +144,38 @@ def worn_cloth(garment: Garment, body: BodyModel, fabric: Fabric | None = None) 
 
 
 def worn_mesh(cloth: ClothMesh, vertices: np.ndarray, body: BodyModel, fabric: Fabric) -> WornCloth:
-    """Returns ``cloth`` as it is worn on ``body``, made of ``fabric``; ``vertices`` [m] (V, 3) are its places at
-    rest.
-    """
+    """Returns ``cloth`` on ``body``, made of ``fabric``; ``vertices`` [m] (V, 3) are its places at rest on the body in
+    T-pose."""
     skin = body_skin(body)
     index = nearest_at_rest(vertices, skin)
-    held = leash_n_per_m(vertices, cloth.vertex_area, skin, index)
+    springs = leash_n_per_m(vertices, cloth.vertex_area, skin, index)
     band = waistband(vertices, cloth.faces, body)
     if band is not None:
-        held[band.vertex] += STIFFNESS_N_M2 * band.length_m
+        springs[band.vertex] += STIFFNESS_N_M2 * band.length_m
     material = Material.of(fabric)
     outside = replace(material, contact_gap_m=material.contact_gap_m + INSIDE_M)
-    return WornCloth(cloth, outside, held, skin_graph(skin), index, fabric.friction)
+    return WornCloth(cloth, outside, springs, skin_graph(skin), index, fabric.friction)
 
 
 def heights_m(vertices: np.ndarray, skin: Samples, index: np.ndarray) -> np.ndarray:
-    """Returns how far [m] (V,) ``vertices`` [m] (V, 3) are above the planes of the samples ``index`` of ``skin``."""
+    """Returns the heights [m] (V,) of ``vertices`` [m] (V, 3) over the tangent planes of the samples ``index`` (V,) of
+    ``skin``, all at rest; negative below."""
     return ((vertices - skin.point[index]) * skin.normal[index]).sum(axis=1)
 
 
 def leash_n_per_m(vertices: np.ndarray, area: np.ndarray, skin: Samples, index: np.ndarray) -> np.ndarray:
-    """The leash's stiffness [N/m] (V,) for ``vertices`` [m] (V, 3) at rest, which have ``area`` [m^2] (V,).
+    """Returns the leash's stiffness [N/m] (V,) for ``vertices`` [m] (V, 3) at rest with these areas ``area`` [m^2]
+    (V,).
 
-    It falls with their height over the sample ``index`` (V,) of ``skin``: friction would hold what lies there, and what
-    hangs is free to hang as its fabric does.
+    It falls with their height over the samples ``index`` (V,) of ``skin``: friction would hold what lies there, and
+    what hangs is free to hang as its fabric does.
     """
     height_m = heights_m(vertices, skin, index)
     return LEASH_N_M3 * area * np.clip((HANGING_M - height_m) / (HANGING_M - LYING_M), LEAST, 1.0)
 
 
 def array_bytes(value: object) -> int:
-    """Returns the memory [bytes] of all arrays in nested tuples and dataclasses."""
+    """Returns the memory in bytes of all arrays in ``value``: an array, or a tuple or dataclass, nested or not."""
     if isinstance(value, np.ndarray):
         return value.nbytes
     if is_dataclass(value):

@@ -20,11 +20,11 @@ from drape.live.two_level import two_level
 def fold_records(
     garment: Garment, body: BodyModel, fabric: Fabric | None, betas: np.ndarray, *, coarse: bool
 ) -> dict[str, Any]:
-    """The records of ``garment`` on ``body`` in the shape ``betas``, made of ``fabric`` or else its own, by their
-    names: those of folds, of which a ``coarse`` cloth takes the steps or the fine one, of swing, if anything swings,
-    and of the body.
+    """Returns the records by which a client folds ``garment`` on ``body`` in the shape ``betas`` (S,), made of
+    ``fabric`` or else its own, by their names in the engine: "Levels" if a ``coarse`` cloth takes the steps, else
+    "FoldConstants"; "SwingConstants", if anything swings; and "BodyFeed".
 
-    Refuses (``BodyError``) a body with pose blend shapes.
+    Raises ``BodyError`` for a body with pose blend shapes.
     """
     feed = shape_feed(body, betas)
     if coarse:
@@ -36,9 +36,10 @@ def fold_records(
 
 
 def shape_feed(body: BodyModel, betas: np.ndarray | None = None) -> BodyFeed:
-    """Returns the constants that pose ``body`` in the shape ``betas``; pose and motion are the client's.
+    """Returns the constants by which the engine poses ``body`` in the shape ``betas`` (S,), without a pose and a motion
+    code.
 
-    Refuses (``BodyError``) a body with pose blend shapes.
+    Raises ``BodyError`` for a body with pose blend shapes.
     """
     skin, none = body_skin(body).on_bones(body, betas), np.zeros(0, np.float32)
     rows = np.asarray(skin.rows)

@@ -21,16 +21,17 @@ from drape.live.clock import Frame, FrameMemory, step_between
 from drape.live.fold_constants import FoldConstants
 from drape.live.skin_walks import TouchedSamples
 
-OUTCOME = 7  # numbers of 64 bits that the engine tells of a frame
+OUTCOME = 7  # numbers of 64 bits that the engine writes about a frame
 
 
 @dataclass(frozen=True, eq=False)
 class FoldMemory(FrameMemory):
-    """A frame as folds remember it, in the order of the constants' places.
+    """What a frame of folds leaves to the next one. Its P points are the places of the constants' sheet.
 
-    In the frames of the network's surface the ``residual`` [m] and ``velocity`` [m/s] (P, 3) of the folds; the samples
-    ``touched``; ``grip`` [m] (P, 3): where friction holds each place, in the frame of its own sample. In the next frame
-    a quarter of the vertices, those whose number is ``turn`` modulo four, look for other parts of the body.
+    ``residual`` [m] and ``velocity`` [m/s] (P, 3) of the folds are in the local frames of the network's surface.
+    ``touched`` are the skin samples at the places. ``grip`` [m] (P, 3) is where friction holds each place, in the local
+    frame of its own sample. In the next frame a quarter of the vertices, those whose number is ``turn`` modulo four,
+    look for other parts of the body.
     """
 
     residual: np.ndarray
@@ -40,22 +41,23 @@ class FoldMemory(FrameMemory):
     turn: int
 
     def arrays(self, fine: np.ndarray) -> Record:
-        """Returns the memory's arrays and the ``fine`` places as the record that the engine reads, without a time.
-
-        Where a frame has left both, that frame's record is returned again.
-        """
+        """Returns this memory with the ``fine`` places [m] (Q, 3) as the record that the engine reads, still without a
+        time; the record that the frame itself wrote, if ``fine`` is that frame's too."""
         left: Record | None = vars(self).get("left")
         if left is None or left.arrays[-1] is not fine:
-            given = FoldArrays(self.network, self.residual, self.velocity, self.grip, *self.touched, fine)
-            left = vars(self)["left"] = Record("FoldMemory", given, self.network.dtype)
+            arrays = FoldArrays(self.network, self.residual, self.velocity, self.grip, *self.touched, fine)
+            left = vars(self)["left"] = Record("FoldMemory", arrays, self.network.dtype)
         return left
 
 
 @dataclass(frozen=True)
 class FoldReport:
-    """The outcome of a frame. It ``settled`` if it had no past to go on from. It was ``reset`` if its result was no
-    fold, or the network jumped too far to go on from its past, and it was begun anew from the network's drape.
-    ``lifted_share`` of the vertices were lifted off the skin, the farthest by ``lifted_max_m`` [m]."""
+    """How a frame of folds came out.
+
+    ``settled``: it had no past to go on from. ``reset``: it was begun anew from the network's drape, because a vertex
+    had come more than 0.25 m away from that, or the network had jumped too far. ``lifted_share`` in [0, 1] of the
+    vertices were lifted off the skin, the farthest by ``lifted_max_m`` [m].
+    """
 
     settled: bool
     reset: bool = False
@@ -64,14 +66,13 @@ class FoldReport:
 
 
 class FoldEffort(NamedTuple):
-    """The work that a frame gets.
+    """The work that a frame of folds gets: ``steps`` of the whole cloth, and as many sweeps over its vertices.
 
-    ``steps`` of the whole cloth, and as many sweeps over its vertices. A frame without a past gets ``settle`` sweeps,
-    and then ``settle`` times all of these. With 0 steps no energy is looked at: the folds go along with the network's
-    surface and fade, and a frame without a past has none.
+    A frame without a past gets ``settle`` sweeps, and then ``settle`` times these steps and sweeps. With 0 steps no
+    energy is looked at: the folds go along with the network's surface and fade, and a frame without a past has none.
 
-    ``cloth_contact``: whether cloth keeps apart from itself.
-    ``clearance_m`` [m]: a vertex nearer to its own part of the skin is lifted; 0 lifts none.
+    ``cloth_contact``: whether cloth keeps apart from itself. ``clearance_m`` [m]: a vertex nearer to its own part of
+    the skin is lifted; 0 lifts none.
     """
 
     steps: int
@@ -81,10 +82,10 @@ class FoldEffort(NamedTuple):
 
 
 class FoldArrays(NamedTuple):
-    """The arrays of ``FoldMemory`` and the ``fine`` places [m] (P, 3), or none of these, as the engine reads them
-    before a frame or writes them after it.
+    """The arrays of a ``FoldMemory`` and the ``fine`` places [m] (Q, 3) of a cloth of two levels, as the engine reads
+    them before a frame and writes them after it.
 
-    The past that they hold is ``step_s`` [s] before the frame; infinite where there is none.
+    ``step_s`` [s] is the time from this past to the frame; infinite where there is none.
     """
 
     network: np.ndarray
@@ -99,8 +100,8 @@ class FoldArrays(NamedTuple):
 
 
 def empty_arrays(places: int, fine_places: int, dtype: np.dtype) -> tuple[FoldArrays, Record]:
-    """Returns arrays for a frame of so many ``places`` of the coarse cloth and ``fine_places`` of the fine one, not yet
-    written, and the record that points to them."""
+    """Returns unwritten arrays for the memory of a frame, of a cloth of ``places`` places and a fine one of
+    ``fine_places``, 0 if there is none; and the record that points to them."""
     points, samples = np.empty((4, places, 3), dtype), np.empty((2, places), np.int32)
     fine = np.empty((fine_places, 3), dtype) if fine_places else no_places(dtype)
     (network, residual, velocity, grip), (own, other) = points, samples
@@ -111,10 +112,10 @@ def empty_arrays(places: int, fine_places: int, dtype: np.dtype) -> tuple[FoldAr
 
 
 class FoldCall(NamedTuple):
-    """A frame of folds as the engine is asked for it: the ``name`` of its function, the ``constants``, the ``past``
-    that it reads and the arrays ``after`` that it writes.
+    """A frame of folds for the engine: the ``name`` of its function, the ``constants``, the record ``past`` that it
+    reads and the record ``after`` that it writes.
 
-    ``remembered(turn)`` returns the memory of the frame once it is computed; ``turn`` is that of the next frame.
+    ``remembered(turn)`` returns the frame's memory once it is computed; ``turn`` is that of the next frame.
     """
 
     name: str
@@ -127,15 +128,15 @@ class FoldCall(NamedTuple):
 def fold(
     constants: FoldConstants, memory: FoldMemory | None, frame: Frame, effort: FoldEffort
 ) -> tuple[np.ndarray, FoldMemory, FoldReport]:
-    """The vertices [m] (V, 3) of ``frame`` with their folds, the memory for the next frame, and a report.
+    """Returns the vertices [m] (V, 3) of ``frame`` with their folds, the memory for the next frame, and a report.
 
-    The same input gives the same bits. ``memory`` is not written to.
+    The same input gives the same bits. ``memory`` is only read.
     """
-    return framed(fold_call(constants, memory, frame.time_s), frame, effort)
+    return compute_frame(fold_call(constants, memory, frame.time_s), frame, effort)
 
 
 def fold_call(constants: FoldConstants, memory: FoldMemory | None, time_s: float) -> FoldCall:
-    """The call of ``fold`` for a frame at ``time_s`` [s]."""
+    """Returns the engine's call of ``fold`` for a frame at ``time_s`` [s] after ``memory``."""
     dtype = constants.sheet.own.dtype
     after, record = empty_arrays(len(constants.sheet.vertex), 0, dtype)
     past = past_of(memory, time_s, no_places(dtype))
@@ -143,8 +144,8 @@ def fold_call(constants: FoldConstants, memory: FoldMemory | None, time_s: float
 
 
 def past_of(memory: FoldMemory | None, time_s: float, fine: np.ndarray) -> Record:
-    """Returns the record of what a frame at ``time_s`` [s] goes on from: ``memory`` and the ``fine`` places. An empty
-    one if there is no memory, or if the frame does not follow it."""
+    """Returns the record of the past of a frame at ``time_s`` [s]: ``memory`` and the ``fine`` places [m] (Q, 3). It is
+    ``no_past`` if there is no memory, or if the frame does not follow it."""
     if memory is None or not memory.leads_to(time_s):
         return no_past(fine.dtype)
     return memory.arrays(fine).ending(memory.turn, step_between(memory.time_s, time_s))
@@ -152,56 +153,54 @@ def past_of(memory: FoldMemory | None, time_s: float, fine: np.ndarray) -> Recor
 
 @cache
 def no_places(dtype: np.dtype) -> np.ndarray:
-    """Returns an array (0, 3) of ``dtype``: the fine places of a cloth of one level, or of a frame without a past."""
+    """Returns an empty array (0, 3) of ``dtype``: the fine places where there is no fine cloth or no past."""
     return np.empty((0, 3), dtype)
 
 
 @cache
 def no_arrays(dtype: np.dtype) -> FoldArrays:
-    """Returns the arrays of a frame with no places."""
+    """Returns the arrays of a memory of no places, floats of ``dtype``."""
     return empty_arrays(0, 0, dtype)[0]
 
 
 @cache
 def no_past(dtype: np.dtype) -> Record:
-    """Returns the record of a frame that goes on from nothing, floats of ``dtype``."""
+    """Returns the engine's record for a frame without a past, floats of ``dtype``."""
     return Record("FoldMemory", no_arrays(dtype), dtype)
 
 
 def memory_of(time_s: float, after: FoldArrays, turn: int, left: Record) -> FoldMemory:
     """Returns the memory of a frame at ``time_s`` [s] from the arrays ``after`` that the engine wrote; ``left`` is the
-    record of these arrays."""
+    record that points to these."""
     touched = TouchedSamples(after.own, after.other)
     memory = FoldMemory(time_s, after.network, after.residual, after.velocity, touched, after.grip, turn)
     vars(memory)["left"] = left
     return memory
 
 
-def framed(call: FoldCall, frame: Frame, effort: FoldEffort) -> tuple[np.ndarray, Any, FoldReport]:
-    """Computes ``call`` for ``frame``. Returns the vertices [m] (V, 3), the memory for the next frame, and a report.
-
-    Where no fold came out, even without a past, the vertices are the network's.
-    """
+def compute_frame(call: FoldCall, frame: Frame, effort: FoldEffort) -> tuple[np.ndarray, Any, FoldReport]:
+    """Returns for ``frame``, which it computes by ``call``, the vertices [m] (V, 3), the memory for the next frame, and
+    a report. The vertices are the network's where a vertex comes more than 0.25 m away from it even without a past."""
     dtype = call.after.arrays[0].dtype
     vertices, around = np.ascontiguousarray(frame.vertices, dtype), frame.around(dtype)
-    out, told = np.empty_like(vertices), np.empty(OUTCOME, np.int64)
+    out, outcome = np.empty_like(vertices), np.empty(OUTCOME, np.int64)
     call_with_scratch(
         call.name, dtype, vertices, call.past, Record("Surroundings", around, dtype),
-        call.constants, recorded(effort), call.after, out, told,
+        call.constants, effort_record(effort), call.after, out, outcome,
     )  # fmt: skip
-    turn, lost, report = read_outcome(told)
+    turn, lost, report = read_outcome(outcome)
     return frame.vertices if lost else out, call.remembered(turn), report
 
 
-def read_outcome(told: np.ndarray) -> tuple[int, bool, FoldReport]:
-    """Reads the numbers that the engine writes of a frame, ``told`` (OUTCOME,) int64. Returns the turn of the next
-    frame, whether no fold came out, and the report."""
-    settled, reset, lost, turn = told[:4].tolist()
-    _, share, far_m = told[4:].view(np.float64).tolist()
+def read_outcome(outcome: np.ndarray) -> tuple[int, bool, FoldReport]:
+    """Reads the ``outcome`` (OUTCOME,) int64 that the engine writes for a frame. Returns the turn of the next frame;
+    whether the folds are lost, because a vertex came too far away from the network's drape; and the report."""
+    settled, reset, lost, turn = outcome[:4].tolist()
+    _, share, far_m = outcome[4:].view(np.float64).tolist()
     return turn, bool(lost), FoldReport(bool(settled), bool(reset), share, far_m)
 
 
 @lru_cache
-def recorded(effort: FoldEffort) -> Record:
+def effort_record(effort: FoldEffort) -> Record:
     """Returns ``effort`` as the record that the engine reads."""
     return Record("FoldEffort", effort)

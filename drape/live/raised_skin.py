@@ -13,20 +13,20 @@ from drape.engine.calls import call, call_with_scratch
 from drape.live.fold_constants import LaidCloth
 
 
-def raised(skin: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Returns the sample table (..., S, 8) of ``skin`` (..., S, 8), each sample moved out by its ``height`` [m] (...,
-    S) along its normal."""
+def raise_skin(skin: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Returns the samples ``skin`` (..., S, 8), rows of ``sample_table``, each moved by its ``height`` [m] (..., S)
+    along its normal."""
     out, ground = np.empty_like(skin), np.ascontiguousarray(skin)
     call("raise", skin.dtype, ground, ground.size // 8, np.ascontiguousarray(height, skin.dtype), out)
     return out
 
 
 def heights_over(vertices: np.ndarray, inner: LaidCloth, own: np.ndarray, skin: np.ndarray) -> np.ndarray:
-    """How high [m] (S,) the garment ``inner`` raises each of the samples ``skin`` (S, 8): 0 where no vertex lies over
-    it.
+    """Returns how high [m] (S,) the garment ``inner`` raises each of the samples ``skin`` (S, 8): 0 where no vertex
+    lies over it.
 
-    Its ``vertices`` are [m] (V, 3), and its triangles face outward. Each place raises the sample that it is at, ``own``
-    (P,), and that sample's neighbours.
+    Its ``vertices`` are [m] (V, 3), and its triangles face outward. Each place of its sheet raises the sample that it
+    is at, ``own`` (P,), and that sample's neighbours.
     """
     dtype, height = inner.dtype, np.empty(len(skin), inner.dtype)
     x, samples = np.ascontiguousarray(vertices, dtype), np.ascontiguousarray(skin, dtype)

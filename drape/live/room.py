@@ -1,4 +1,4 @@
-"""What is of one sheet: cloth that comes near to itself is kept apart, but not from the cloth beside it.
+"""Which vertices are of one sheet: cloth that comes near to itself is kept apart, but not from cloth of its own sheet.
 
 Two vertices are of one sheet where the way through the air is nearly as long as that along the cloth: such cloth is
 only pressed together. How cloth keeps apart is in ``source/room.hpp`` of the engine.
@@ -17,19 +17,19 @@ from drape.engine.calls import call_with_scratch
 from drape.engine.library import LANES
 from drape.live.clusters import clusters
 
-NEAR_M = 0.02  # vertices nearer than that along the cloth, and those of one triangle, are one sheet
-FOLDED = 0.6  # so are those whose way through the air is at least this share of that along the cloth
-ROOM_M = 0.018  # how far lists of what is of one sheet reach through the air
-ROOM = 200  # entries a vertex that a list has at first: most lists are no longer
+NEAR_M = 0.02  # vertices that are nearer along the cloth, and those of one triangle, are of one sheet
+FOLDED = 0.6  # so are those whose distance through the air is at least this share of that along the cloth
+ROOM_M = 0.018  # the distance through the air up to which cloth keeps apart from itself
+ROOM = 200  # room at first, in entries a vertex: most lists are no longer
 FREE = 255  # a bound that no pair within ROOM_M is below; FREE - 1 stands for ROOM_M
 BOUND_M2 = ROOM_M**2 / (FREE - 1)
 
 
 class SheetNeighbours(NamedTuple):
-    """For every vertex the vertices that may be of one sheet with it.
+    """For each of V vertices the vertices that may be of one sheet with it.
 
-    Those of v are ``vertex[start[v] : start[v + 1]]``, v itself too. Each is of its sheet from the ``square`` [m^2] of
-    a distance through the air on: from 0 on where it is near along the cloth.
+    Those of v are ``vertex[start[v] : start[v + 1]]``, v itself too. Such a pair is of one sheet while the square of
+    its distance through the air is at least ``square`` [m^2], which is 0 where the two are near along the cloth.
 
     ``clusters`` (C, ``LANES``) are vertices side by side. ``other[other_start[a] : other_start[a + 1]]`` (K,) are
     cluster a and the clusters behind it that have a vertex listed with one of a. ``bound`` (K, ``LANES``, ``LANES``)
@@ -47,7 +47,7 @@ class SheetNeighbours(NamedTuple):
 
 
 def sheet_neighbours(cloth: ClothMesh) -> SheetNeighbours:
-    """Returns for each vertex of ``cloth`` the vertices near it along the edges at rest, as a ``SheetNeighbours``.
+    """Returns for each vertex of ``cloth`` the vertices near it along the edges at rest.
 
     A vertex is listed if ``FOLDED`` times its distance along the edges is at most ``ROOM_M``, and also if an edge joins
     the two.
@@ -60,7 +60,7 @@ def sheet_neighbours(cloth: ClothMesh) -> SheetNeighbours:
     pairs = np.concatenate([ends[once], ends[once][:, ::-1]])
     graph = scipy.sparse.coo_matrix((np.tile(length[once], 2), pairs.T), shape=(count, count)).tocsr()
     graph.sort_indices()
-    start, vertex, along = reached(graph.indptr, graph.indices, graph.data, ROOM_M / FOLDED)
+    start, vertex, along = within_reach(graph.indptr, graph.indices, graph.data, ROOM_M / FOLDED)
     own = np.repeat(np.arange(count), np.diff(start))
     beside = (own == vertex) | (np.asarray(graph[own, vertex]).reshape(-1) > 0.0)
     square = np.where(beside | (along <= NEAR_M), 0.0, (FOLDED * along) ** 2).astype(np.float32)
@@ -88,23 +88,23 @@ def _bounds(
     return other_start, b.astype(np.int32), bound
 
 
-def reached(
+def within_reach(
     start: np.ndarray, other: np.ndarray, length: np.ndarray, most: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns the lists of vertices within ``most`` [m] of each vertex, measured along edges: where each list begins (V
-    + 1,), the vertices, and their distances [m].
+    """Returns for each of V vertices the list of vertices within ``most`` [m] along edges: where each list begins (V +
+    1,) int32, the vertices (n,) int32, and their distances [m] (n,). A vertex is in its own list.
 
     The ends of a vertex's own edges are listed however long these are. The edges of vertex v are ``start[v]`` to
-    ``start[v + 1]`` of ``other`` and ``length``.
+    ``start[v + 1]`` of ``other`` and ``length`` [m].
     """
-    given = (
-        *(np.ascontiguousarray(each, np.int32) for each in (start, other)),
+    graph = (
+        *(np.ascontiguousarray(table, np.int32) for table in (start, other)),
         np.ascontiguousarray(length, np.float64),
     )
     count, room = len(start) - 1, ROOM * (len(start) - 1)
-    while True:  # the engine tells how much room longer lists take
-        begins, found, ways = np.empty(count + 1, np.int32), np.empty(room, np.int32), np.empty(room)
-        filled = call_with_scratch("reached", np.float64, *given, count, float(most), begins, found, ways, room)
+    while True:  # where there is too little room, the engine returns how much is needed
+        begins, reached, ways = np.empty(count + 1, np.int32), np.empty(room, np.int32), np.empty(room)
+        filled = call_with_scratch("reached", np.float64, *graph, count, float(most), begins, reached, ways, room)
         if filled <= room:
-            return begins, found[:filled], ways[:filled]
+            return begins, reached[:filled], ways[:filled]
         room = filled

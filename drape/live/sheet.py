@@ -20,8 +20,8 @@ ALIKE = 0.99  # edges as long as this share of the longest one count as equally 
 
 
 class Creases(NamedTuple):
-    """Hinges that are not flat at rest: the places ``corner`` (H, 4); ``stiffness`` (H,) [J]; ``cosine``, ``sine``
-    (H,) of the rest angle."""
+    """The H hinges that are not flat at rest: the places ``corner`` (H, 4), ``stiffness`` [J] (H,), and ``cosine``,
+    ``sine`` (H,) of the rest angle."""
 
     corner: np.ndarray
     stiffness: np.ndarray
@@ -30,19 +30,20 @@ class Creases(NamedTuple):
 
 
 class Sheet(NamedTuple):
-    """B blocks of ``LANES`` places, P = B ``LANES``. Tables are flat, row after row of a block, ``LANES`` numbers each.
+    """A cloth of V vertices in B blocks of ``LANES`` places, one vertex a place. There are P = B ``LANES`` places, some
+    empty. Tables are flat, row after row of a block, ``LANES`` numbers each.
 
     ``vertex`` (P,): the garment's vertex at each place, 0 at empty ones; ``place`` (V,): the place of each vertex.
 
     Triangles: block b has the entries ``fan_start[b]`` to ``fan_start[b + 1]``. Each is one triangle of every vertex:
-    two rows of ``fan_other``, the places of the other corners, and five of ``fan_slope``, their slopes along warp and
-    weft and the area. Bending of hinges flat at rest: ``bend_start`` (B + 1,) counts rows of ``bend_other``, places,
-    and of ``bend_value``, their numbers in the matrix Q [N/m]. ``own`` has four rows a block: weight [N], the diagonal
-    of Q, contact's stiffness and the waistband's [N/m].
+    two rows of ``fan_other``, the places of the other corners, and five of ``fan_slope``, their slopes [1/m] along warp
+    and weft and the area [m^2]. Bending of hinges flat at rest: ``bend_start`` (B + 1,) counts rows of ``bend_other``,
+    places, and of ``bend_value``, their numbers in the matrix Q [N/m]. ``own`` has four rows a block: weight [N], the
+    diagonal of Q, contact's stiffness and that of the spring to the network's place [N/m].
 
-    Block b has the entries ``crease_start[b]`` to ``crease_start[b + 1]`` of ``crease_lane`` and ``crease_member``,
-    4 h + c where that lane is corner c of hinge h of the ``creases``. Blocks of a colour begin at ``colour_start``
-    (C + 1,).
+    Block b has the entries ``crease_start[b]`` to ``crease_start[b + 1]`` of ``crease_lane``, a lane of the block, and
+    of ``crease_member``, 4 h + c where that lane is corner c of hinge h of the ``creases``. The blocks of a colour
+    begin at ``colour_start`` (C + 1,).
     """
 
     constants: KernelConstants
@@ -65,29 +66,30 @@ class Sheet(NamedTuple):
 def sheet(
     cloth: ClothMesh, material: Material, band_n_per_m: np.ndarray, *, dtype: type[np.floating] = np.float32
 ) -> Sheet:
-    """The tables of ``cloth`` made of ``material``, its waistband as stiff as ``band_n_per_m`` [N/m] (V,)."""
-    made = problem(cloth, material, dtype=dtype)
-    blocks = _blocks(made)
+    """Returns the tables of ``cloth`` made of ``material``, floats of ``dtype``. ``band_n_per_m`` [N/m] (V,) is the
+    stiffness of the springs to the network's places."""
+    flat = problem(cloth, material, dtype=dtype)
+    blocks = _blocks(flat)
     real = blocks >= 0
     vertex = np.where(real, blocks, 0).astype(np.int32)
     place = np.empty(cloth.vertex_count, np.int32)
     place[blocks[real]] = np.flatnonzero(real.reshape(-1))
-    fan_start, fan_row, fan_real = _rows(made.triangles.start, blocks)
-    fan_row = longest_first(made.triangles)[fan_row]
+    fan_start, fan_row, fan_real = _rows(flat.triangles.start, blocks)
+    fan_row = longest_first(flat.triangles)[fan_row]
     other = np.where(
-        fan_real[:, None], place[made.triangles.other[fan_row]].transpose(0, 2, 1), _own_places(fan_start)[:, None]
+        fan_real[:, None], place[flat.triangles.other[fan_row]].transpose(0, 2, 1), _own_places(fan_start)[:, None]
     )
-    slope = np.where(fan_real[:, None], made.triangles.slope[fan_row].transpose(0, 2, 1), 0.0)
-    bend = made.quadratic
+    slope = np.where(fan_real[:, None], flat.triangles.slope[fan_row].transpose(0, 2, 1), 0.0)
+    bend = flat.quadratic
     bend_start, bend_row, bend_real = _rows(bend.start, blocks)
-    bend_other = np.where(bend_real, place[_taken(bend.vertex, bend_row)], _own_places(bend_start))
-    bend_value = np.where(bend_real, _taken(bend.value, bend_row), 0.0)
-    own = np.stack([made.weight_n, bend.diagonal, made.contact_n_per_m, band_n_per_m])
+    bend_other = np.where(bend_real, place[_values_at(bend.vertex, bend_row)], _own_places(bend_start))
+    bend_value = np.where(bend_real, _values_at(bend.value, bend_row), 0.0)
+    own = np.stack([flat.weight_n, bend.diagonal, flat.contact_n_per_m, band_n_per_m])
     own = np.where(real[:, None], own[:, vertex].transpose(1, 0, 2), 0.0)
-    creases = made.creases
+    creases = flat.creases
     crease_start, crease_lane, crease_member = _entries(creases.start, creases.member, blocks)
     return Sheet(
-        constants=made.constants,
+        constants=flat.constants,
         vertex=vertex.reshape(-1),
         place=place,
         fan_start=fan_start,
@@ -101,12 +103,13 @@ def sheet(
         crease_start=crease_start,
         crease_lane=crease_lane,
         crease_member=crease_member,
-        colour_start=np.append(0, np.cumsum(-(-np.diff(made.colour_start) // LANES))).astype(np.int32),
+        colour_start=np.append(0, np.cumsum(-(-np.diff(flat.colour_start) // LANES))).astype(np.int32),
     )
 
 
 def longest_first(triangles: Triangles) -> np.ndarray:
-    """The order (3F,) of the rows of ``triangles`` in which each vertex begins with its longest first edge at rest.
+    """Returns an order (3F,) of the rows of ``triangles`` in which the first row of each vertex has its longest edge at
+    rest to a second corner.
 
     That edge says how the vertex's frame is turned, and a short one turns with every ripple. Among edges that are
     ``ALIKE`` it is the first one, whatever rounding does.
@@ -124,12 +127,12 @@ def longest_first(triangles: Triangles) -> np.ndarray:
     return order
 
 
-def _blocks(made: Problem) -> np.ndarray:
+def _blocks(flat: Problem) -> np.ndarray:
     """Vertices (B, ``LANES``) of each block, -1 at empty places; those of a colour by the number of their triangles."""
-    valence = np.diff(made.triangles.start)
+    valence = np.diff(flat.triangles.start)
     blocks = []
-    for start, end in zip(made.colour_start[:-1], made.colour_start[1:], strict=True):
-        members = made.order[start:end]
+    for start, end in zip(flat.colour_start[:-1], flat.colour_start[1:], strict=True):
+        members = flat.order[start:end]
         members = members[np.argsort(valence[members], kind="stable")]
         blocks.append(np.concatenate([members, np.full(-len(members) % LANES, -1)]).reshape(-1, LANES))
     return np.concatenate(blocks)
@@ -155,7 +158,7 @@ def _own_places(start: np.ndarray) -> np.ndarray:
     return LANES * block[:, None] + np.arange(LANES)
 
 
-def _taken(values: np.ndarray, index: np.ndarray) -> np.ndarray:
+def _values_at(values: np.ndarray, index: np.ndarray) -> np.ndarray:
     """``values[index]``, zeros where there are no values."""
     return values[index] if len(values) else np.zeros(index.shape, values.dtype)
 
@@ -166,4 +169,4 @@ def _entries(start: np.ndarray, member: np.ndarray, blocks: np.ndarray) -> tuple
     _, lane = np.nonzero(real)
     held = np.add.reduceat(np.append(real.sum(axis=1), 0), first)[:-1] * (np.diff(first) > 0)
     begins = np.concatenate([[0], np.cumsum(held)])
-    return begins.astype(np.int32), lane.astype(np.int32), _taken(member, row)[real].astype(np.int32)
+    return begins.astype(np.int32), lane.astype(np.int32), _values_at(member, row)[real].astype(np.int32)

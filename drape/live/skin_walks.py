@@ -16,12 +16,12 @@ from scipy.spatial import KDTree
 from drape.contact.samples import FACING, Samples
 
 NEIGHBOURS = 8
-CANDIDATES = 24  # nearest samples, from which those that face another way are left out
+CANDIDATES = 24  # nearest samples that are looked at; those that face another way are left out
 
 
 class SkinGraph(NamedTuple):
-    """The samples of a skin: the ``neighbour`` samples (S, 8) of each, itself where there are fewer; ``reach_m2`` (S,),
-    the square of its spacing; ``rest`` [m] (S, 3), its place at rest."""
+    """The graph of S skin samples: the ``neighbour`` samples (S, 8) of each, itself where there are fewer; ``reach_m2``
+    [m^2] (S,), the square of its spacing; ``rest`` [m] (S, 3), its place at rest."""
 
     neighbour: np.ndarray
     reach_m2: np.ndarray
@@ -33,7 +33,8 @@ class SkinGraph(NamedTuple):
 
 
 def skin_graph(skin: Samples) -> SkinGraph:
-    """The graph of the samples of ``skin`` by their distance at rest."""
+    """Returns the graph of the samples of ``skin``: the neighbours of a sample are the nearest at rest that face its
+    way."""
     _, near = KDTree(skin.point).query(skin.point, k=min(CANDIDATES, skin.count))
     facing = np.einsum("snc,sc->sn", skin.normal[near], skin.normal) > FACING
     own = np.arange(skin.count)[:, None]
@@ -43,14 +44,13 @@ def skin_graph(skin: Samples) -> SkinGraph:
 
 
 def nearest_at_rest(vertices: np.ndarray, skin: Samples) -> np.ndarray:
-    """The sample (V,) int32 nearest to each of ``vertices`` [m] (V, 3), both at rest."""
+    """Returns the indices (V,) int32 of the samples of ``skin`` nearest to ``vertices`` [m] (V, 3), both at rest."""
     return np.asarray(KDTree(skin.point).query(vertices)[1], dtype=np.int32)
 
 
 class TouchedSamples(NamedTuple):
-    """For each of P places the skin sample ``own`` that the network's drape has it at, and the sample ``other`` of
-    another part of the body near it, -1 where there is none. Both are (P,).
-    """
+    """For each of P places of cloth, as the network drapes it: ``own`` (P,), the skin sample under it, and ``other``
+    (P,), a near sample of another part of the body, -1 where there is none."""
 
     own: np.ndarray
     other: np.ndarray

@@ -11,25 +11,25 @@ from drape.cloth.fabric_table import fabric as fabric_named
 from drape.cloth.material import Material
 from drape.contact.skin import body_skin
 from drape.garment.cache import Garment
+from drape.live.fold_constants import heights_m
 from drape.live.skin_walks import nearest_at_rest, skin_graph
 from drape.live.swing_mesh import swing_mesh
 from drape.live.swing_slack import held_share
 from drape.live.swing_step import SWING_HZ, SwingConstants
 
-HELD_M = 0.008  # cloth that lies lower than that over the skin at rest never swings
+HELD_M = 0.008  # cloth that is nearer to the skin at rest never swings
 STIFFEST_N_PER_M = 300.0  # a few sweeps cannot follow stiffer cloth
 
 
 def swing_constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> SwingConstants | None:
     """Returns the constants of swing for the delivered mesh of ``garment`` on ``body``, made of ``fabric`` or else its
-    own. None if no cloth hangs freely. It takes a second at most."""
+    own; None if no cloth hangs freely. It takes a second at most."""
     made_of = fabric_named(garment.fabric) if fabric is None else fabric
     material, count, skin = Material.of(made_of), garment.vertex_count, body_skin(body)
     rest = garment.vertices[:count].astype(np.float64)
     cloth = ClothMesh.of(garment.delivered_rest(), garment.faces.astype(np.int64), count)
     nearest = nearest_at_rest(rest, skin)
-    held = ((rest - skin.point[nearest]) * skin.normal[nearest]).sum(axis=1) < HELD_M
-    mesh = swing_mesh(cloth, material, rest, held)
+    mesh = swing_mesh(cloth, material, rest, heights_m(rest, skin, nearest) < HELD_M)
     if mesh is None:
         return None
     dtype = mesh.mass_kg.dtype

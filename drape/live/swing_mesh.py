@@ -16,29 +16,30 @@ from scipy.sparse.csgraph import dijkstra
 
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
-from drape.cloth.problem import rest_edges, unfolded
+from drape.cloth.problem import rest_edges, unfold_hinges
 from drape.geometry import meshes
-from drape.live.coarse_weights import in_lists
+from drape.live.coarse_weights import list_entries
 from drape.live.swing_rows import SwingRows, swing_rows
 
 SPACING_M = 0.07  # between nodes; less gives the same swing for more time
-REACH = 1.5  # spacings within which a node moves a vertex
-SHARED = 8  # nodes that move a vertex, at most: the nearest ones
+REACH = 1.5  # in spacings: the distance within which a node moves a vertex
+SHARED = 8  # the most nodes that move a vertex, the nearest ones
 DETOUR = 1.02  # a way over edges and diagonals is that much longer, on average, than the shortest along the cloth
-ACROSS = 0.05  # tension across the fall, per tension along it: columns of cloth hardly hold each other
+ACROSS = 0.05  # ratio of the tension across the fall to that along it: columns of cloth hardly hold each other
 SLIVER = 0.15  # a coarse triangle with a corner of a smaller sine is left out
 LINE = 0.01  # added to the moments, so that the weights' linear fit is regular where nodes lie in a line
 
 
 class SwingMesh(NamedTuple):
-    """N nodes of a garment of V vertices.
+    """The coarse mesh on which a garment of V vertices swings: N nodes, at which the garment has the vertices
+    ``vertex`` (N,).
 
-    ``vertex`` (N,): the garment's vertex at each node; ``mass_kg``, ``area_m2`` (N,) of its cell. ``order``: the nodes
-    that may move, from those next to held ones outwards. The coarse triangles of node i are rows ``start[i]`` to
-    ``start[i + 1]`` of ``other`` (n, 2), the two other corners, and ``slope`` (n, 5): their slopes along both axes
-    [1/m], and the area [m^2]. ``pull_start`` (N + 1,), ``pull_node``, ``pull`` [N/m]: rows of the matrix by which
-    weight pulls nodes back. ``weight_node`` (V, ``SHARED``), ``weight``: the nodes that move each vertex, and its share
-    of each node's displacement. ``rows`` has nodes and triangles once more, in blocks.
+    ``mass_kg`` and ``area_m2`` (N,) are those of a node's cell. ``order`` are the nodes that may move, from those next
+    to held ones outwards. The coarse triangles of node i are rows ``start[i]`` to ``start[i + 1]`` of ``other`` (n, 2),
+    the two other corners, and ``slope`` (n, 5): their slopes [1/m] along both axes, and the area [m^2]. ``pull_start``
+    (N + 1,), ``pull_node`` and ``pull`` [N/m] are compressed rows of the matrix by which weight pulls nodes back.
+    ``weight_node`` and ``weight`` (V, ``SHARED``) are the nodes that move each vertex, and its share of each node's
+    displacement. ``rows`` has nodes and triangles once more, in blocks.
     """
 
     vertex: np.ndarray
@@ -61,7 +62,7 @@ def swing_mesh(
 ) -> SwingMesh | None:
     """Returns the coarse mesh of ``cloth`` of ``material`` that lies at ``rest`` [m] (V, 3), floats of ``dtype``.
 
-    ``held`` (V,) says which vertices never swing. Returns None where all are held, or none: cloth that nothing holds
+    ``held`` (V,) bool says which vertices never swing. It is None where all are held, or none: cloth that nothing holds
     does not hang.
     """
     graph = along_cloth(cloth)
@@ -96,8 +97,9 @@ def swing_mesh(
 
 
 def along_cloth(cloth: ClothMesh) -> Any:
-    """Sparse symmetric (V, V): lengths [m] at rest of edges, and of diagonals between two triangles laid flat."""
-    edges, flat = rest_edges(cloth), unfolded(cloth)
+    """Returns a sparse symmetric matrix (V, V) of the lengths [m] at rest of edges, and of diagonals between two
+    triangles laid flat."""
+    edges, flat = rest_edges(cloth), unfold_hinges(cloth)
     place = np.concatenate([np.zeros((len(edges), 1, 2)), edges], axis=1)  # corners (F, 3, 2)
     faces, hinges = cloth.faces, cloth.hinge_index.reshape(4, -1).T
     ends = [(faces[:, i], faces[:, (i + 1) % 3]) for i in range(3)]
@@ -128,22 +130,22 @@ class _Ways(NamedTuple):
 def _spread(graph: Any, rest: np.ndarray) -> tuple[np.ndarray, _Ways]:
     """Vertices (N,) no two of which are nearer than ``SPACING_M``, and the ways from all vertices to them, as nodes.
     They are chosen from the lowest up, so that hems have theirs."""
-    nearest, chosen, found = np.full(len(rest), np.inf), [], []
+    nearest, chosen, rows_of_nodes = np.full(len(rest), np.inf), [], []
     for vertex in np.argsort(rest[:, 1], kind="stable"):
         if nearest[vertex] >= SPACING_M:
             distance = dijkstra(graph, indices=int(vertex), limit=(REACH + 0.5) * SPACING_M)
             np.minimum(nearest, distance, out=nearest)
             rows = np.flatnonzero(np.isfinite(distance))
-            found.append((rows, np.full(len(rows), len(chosen)), distance[rows]))
+            rows_of_nodes.append((rows, np.full(len(rows), len(chosen)), distance[rows]))
             chosen.append(int(vertex))
-    return np.array(chosen), _Ways(*map(np.concatenate, zip(*found, strict=True)))
+    return np.array(chosen), _Ways(*map(np.concatenate, zip(*rows_of_nodes, strict=True)))
 
 
 def _sorted_ways(vertex: np.ndarray, node: np.ndarray, length: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """The nodes nearest to each of ``count`` vertices, the nearest first, and the ways there [m], infinite beyond
     reach: (V, ``SHARED``) each."""
     order = np.argsort(vertex, kind="stable")
-    row, rank = in_lists(np.concatenate([[0], np.cumsum(np.bincount(vertex, minlength=count))]))
+    row, rank = list_entries(np.concatenate([[0], np.cumsum(np.bincount(vertex, minlength=count))]))
     shape = count, max(SHARED, int(rank.max(initial=0)) + 1)
     nodes, ways = np.zeros(shape, np.int64), np.full(shape, np.inf)
     nodes[row, rank], ways[row, rank] = node[order], length[order]
@@ -155,9 +157,9 @@ def _apart(vertex: np.ndarray, node: np.ndarray, length: np.ndarray, chosen: np.
     """The ways [m] (N, N) between the nodes ``chosen`` (N,), infinite beyond reach."""
     at = np.full(max(vertex.max(), chosen.max()) + 1, -1)
     at[chosen] = np.arange(len(chosen))
-    there, found = at[vertex] >= 0, np.full((len(chosen), len(chosen)), np.inf)
-    found[at[vertex[there]], node[there]] = length[there]
-    return found
+    there, ways = at[vertex] >= 0, np.full((len(chosen), len(chosen)), np.inf)
+    ways[at[vertex[there]], node[there]] = length[there]
+    return ways
 
 
 def _coarse_faces(cells: np.ndarray, sides: np.ndarray) -> np.ndarray:
@@ -176,7 +178,7 @@ def _coarse_faces(cells: np.ndarray, sides: np.ndarray) -> np.ndarray:
 
 def _fans(faces: np.ndarray, sides: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """``start``, ``other`` and ``slope`` of ``SwingMesh`` for triangles of these ``sides`` (N, N) [m]."""
-    corner = faces[:, [[0, 1, 2], [1, 2, 0], [2, 0, 1]]].reshape(-1, 3)  # each with every corner in front
+    corner = faces[:, [[0, 1, 2], [1, 2, 0], [2, 0, 1]]].reshape(-1, 3)  # once with each corner in front
     corner = corner[np.argsort(corner[:, 0], kind="stable")]
     first, second, across = (sides[corner[:, i], corner[:, j]] for i, j in ((0, 1), (0, 2), (1, 2)))
     cosine = (first**2 + second**2 - across**2) / (2.0 * first * second)
@@ -262,7 +264,8 @@ def _pull(
     down /= np.maximum(np.linalg.norm(down, axis=1, keepdims=True), 1e-9)
     along = by_p * down[:, :1] + by_t * down[:, 1:]
     across = by_p * down[:, 1:] - by_t * down[:, :1]
-    strength = values.mean(axis=1) * slope[:, 4] * (area_m2 / slope[:, 4].sum())  # every triangle is here three times
+    # Both sums count every triangle three times.
+    strength = values.mean(axis=1) * slope[:, 4] * (area_m2 / slope[:, 4].sum())
     entries = strength[:, None, None] * (
         along[:, :, None] * along[:, None, :] + ACROSS * across[:, :, None] * across[:, None, :]
     )

@@ -16,12 +16,13 @@ from drape.engine.library import LANES
 
 
 class SwingRows(NamedTuple):
-    """P places, in blocks of ``LANES``: ``moving`` blocks of nodes that may move, then those of the other ones.
+    """N nodes at P places in blocks of ``LANES``: first ``moving`` blocks of nodes that may move, then those of the
+    others.
 
-    ``node`` (P,): the one at each place. A block that is not full repeats its first node, as if that were another one;
-    ``place`` (N,) is the first place of each node. Block b has the rows ``start[b]`` to ``start[b + 1]`` of triangles:
-    two rows of ``other``, the places of the other corners, and five of ``slope``, as ``SwingMesh`` has them. Rows of
-    nodes with fewer triangles are filled with the node's own place and slopes of zero.
+    ``node`` (P,) is the node at each place. A block that is not full repeats its first node, as if that were another
+    one; ``place`` (N,) is the first place of each node. Block b has the rows ``start[b]`` to ``start[b + 1]`` of
+    triangles: two rows of ``other``, the places of the other corners, and five of ``slope``, as ``SwingMesh`` has them.
+    Rows of nodes with fewer triangles are filled with the node's own place and slopes of zero.
     """
 
     moving: int
@@ -33,7 +34,8 @@ class SwingRows(NamedTuple):
 
 
 def swing_rows(order: np.ndarray, start: np.ndarray, other: np.ndarray, slope: np.ndarray) -> SwingRows:
-    """The blocks of the nodes whose triangles are ``start``, ``other``, ``slope``, and which move in this ``order``."""
+    """Returns the nodes of a swing mesh in blocks. ``order`` (n,) are the nodes that move, in the order of a sweep;
+    ``start`` (N + 1,), ``other`` and ``slope`` are the triangles of each node, as in ``SwingMesh``."""
     count = len(start) - 1
     blocks = _blocks(order, start, other)
     still = np.setdiff1d(np.arange(count), order)
@@ -65,7 +67,7 @@ def _blocks(order: np.ndarray, start: np.ndarray, other: np.ndarray) -> list[np.
     rank = dict.fromkeys(range(len(start) - 1), -1) | {int(i): n for n, i in enumerate(order)}
     beside = [np.unique(other[start[i] : start[i + 1]]) for i in order]
     before = [{rank[j] for j in near.tolist() if 0 <= rank[j] < n} for n, near in enumerate(beside)]
-    waiting = np.zeros(len(order), int)  # how many blocks at least have to come after this node's
+    waiting = np.zeros(len(order), int)  # the least number of blocks that have to come after this node's
     for n in reversed(range(len(order))):
         for m in before[n]:
             waiting[m] = max(waiting[m], waiting[n] + 1)

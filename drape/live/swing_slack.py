@@ -11,7 +11,7 @@ import numpy as np
 from drape.cloth.energies import ClothMesh
 from drape.geometry.sections import closed_rings, convex_hull, level_section
 
-STEP_M = 0.02  # between the planes
+STEP_M = 0.02  # distance of the planes
 # The slack of a ring is its length over the girth of the skin in it. Up to TIGHT cloth near the skin is held wholly,
 # from LOOSE on by the share LEAST: most of the dress is tighter, most of the circle skirt looser. Without any hold the
 # skirt rides up in a walk; with more it does not fly.
@@ -19,7 +19,8 @@ TIGHT, LOOSE, LEAST = 1.9, 2.3, 0.003
 
 
 def held_share(cloth: ClothMesh, rest: np.ndarray, skin: np.ndarray) -> np.ndarray:
-    """The share (V,) of the hold near the skin that each vertex of ``cloth`` has, ``LEAST`` to 1.
+    """Returns for each vertex of ``cloth`` a factor (V,), ``LEAST`` to 1, of the spring by which the skin near it holds
+    a node of swing in place: the wider the cloth is around the body at this height, the smaller.
 
     ``rest`` [m] (V, 3) are the vertices and ``skin`` [m] (S, 3) points of the body, both at rest.
     """
@@ -34,16 +35,16 @@ def _slack(cloth: ClothMesh, rest: np.ndarray, skin: np.ndarray, height: np.ndar
 
     0 where there are several rings. Where there is none, as at a wavy hem, it is that of the ring above.
     """
-    found, last = np.zeros(len(height)), 0.0
+    slack, last = np.zeros(len(height)), 0.0
     for i, y in enumerate(height):
-        cut = closed_rings(level_section(cloth.faces, rest, y), rest)
-        if len(cut) == 1:
+        rings = closed_rings(level_section(cloth.faces, rest, y), rest)
+        if len(rings) == 1:
             at_height = skin[np.abs(skin[:, 1] - y) < STEP_M][:, [0, 2]]
-            side = cut[0].hull.equations
+            side = rings[0].hull.equations
             inside = at_height[(at_height @ side[:, :2].T + side[:, 2] <= 0.0).all(axis=1)]
             hull = convex_hull(inside)
-            last = last if hull is None else cut[0].length_m / hull.area  # of a plane: its girth
-        elif cut:
+            last = last if hull is None else rings[0].length_m / hull.area  # the area of a plane hull is its girth
+        elif rings:
             last = 0.0
-        found[i] = last
-    return found
+        slack[i] = last
+    return slack

@@ -24,10 +24,11 @@ SWING_HZ = 1.5  # frequency at which damping in proportion to mass equals the fa
 
 @dataclass(frozen=True, eq=False)
 class SwingConstants(Recorded):
-    """The constants that the engine reads of a garment in a fabric.
+    """The constants of swing of a garment in a fabric, as the engine reads them.
 
-    The coarse ``mesh``; the skin's ``graph`` and the sample ``index`` (N,) nearest to each node at rest; the fabric's
-    stiffness [N/m] and damping [1/s]; ``held`` (N,): the share of the hold near the skin that each node has.
+    ``mesh`` are the N nodes; ``graph`` are the skin samples, ``index`` (N,) the one nearest to each node at rest.
+    ``young_n_per_m`` [N/m] and ``damping_per_s`` [1/s] are the fabric's. ``held`` (N,) is the factor of ``held_share``
+    at each node.
     """
 
     mesh: SwingMesh
@@ -39,16 +40,19 @@ class SwingConstants(Recorded):
 
     @property
     def nbytes(self) -> int:
-        """The memory of the mesh [bytes]."""
+        """The memory of the garment's own arrays, in bytes; the skin's graph is shared."""
         return array_bytes(tuple(self.mesh)) + self.index.nbytes + self.held.nbytes
 
 
 @dataclass(frozen=True, eq=False)
 class SwingMemory(FrameMemory, Recorded):
-    """A frame as swing remembers it: the ``origin`` of its coordinates in the world [m] (3,); where the nodes
-    ``swung`` to [m] and their ``speed`` [m/s] (N, 3); how fast the network had them ``climb`` [m/s] (N,), no number
-    where it is not known; the samples ``touched`` (N,) below them; since when [s] (1,) the
-    network has not moved; and the ``colliders`` (M, 16), from that origin."""
+    """What a frame of swing leaves to the next one. Its N points are the nodes; coordinates count from ``origin`` [m]
+    (3,) in the world.
+
+    The nodes ``swung`` to [m] (N, 3) with the ``speed`` [m/s] (N, 3). ``climb`` [m/s] (N,) is how fast the network
+    raised them, NaN where it is not known. ``touched`` (N,) are the skin samples below them, ``still_since_s`` [s] (1,)
+    is the time since when the network has not moved, and ``colliders`` (M, 16) are the scene's.
+    """
 
     origin: np.ndarray
     swung: np.ndarray
@@ -68,10 +72,11 @@ NO_PAST = SwingMemory(
 def swing(
     constants: SwingConstants, memory: SwingMemory | None, frame: Frame, origin: np.ndarray, *, share: float = 1.0
 ) -> tuple[np.ndarray, SwingMemory]:
-    """The vertices [m] (V, 3) of ``frame`` with a ``share`` of their swing, and the memory for the next frame.
+    """Returns the vertices [m] (V, 3) of ``frame`` with a ``share``, 0 to 1, of their swing, and the memory for the
+    next frame.
 
     ``origin`` [m] (3,) is that of the frame's coordinates in the world. The same input gives the same bits; ``memory``
-    is not written to. In a frame without a past, and in one to which no swing leads, cloth hangs still.
+    is only read. In a frame without a past, and in one to which no swing leads, cloth hangs still.
     """
     dtype = constants.mesh.mass_kg.dtype
     vertices, around = writable(frame.vertices, dtype), frame.around(dtype)
@@ -83,8 +88,8 @@ def swing(
 
 
 def empty_memory(constants: SwingConstants, time_s: float, origin: np.ndarray, colliders: np.ndarray) -> SwingMemory:
-    """The memory of a frame at ``time_s`` [s], which the engine fills: ``origin`` [m] (3,) and ``colliders`` (M, 16)
-    from there are the frame's."""
+    """Returns an unwritten memory for a frame at ``time_s`` [s], which the engine fills. ``origin`` [m] (3,) is that of
+    the frame's coordinates in the world, ``colliders`` (M, 16) are those of the scene from there."""
     dtype, count = constants.mesh.mass_kg.dtype, len(constants.mesh.vertex)
     network, swung, speed = np.empty((3, count, 3), dtype)
     here = np.ascontiguousarray(origin, np.float64)

@@ -42,9 +42,9 @@ from drape.live.fold_step import (
     FoldEffort,
     FoldMemory,
     FoldReport,
+    compute_frame,
     empty_arrays,
     fold_call,
-    framed,
     memory_of,
     no_past,
     no_places,
@@ -54,24 +54,23 @@ from drape.live.sheet import sheet
 from drape.live.skin_walks import TouchedSamples
 from drape.live.untangle import tangles_of
 
-LEAST = 700  # vertices of the coarse cloth: a sock is small, and round
-# Edges of the coarse cloth in the length over which it bends under its own weight: none more below a height over the
-# skin, all of them above another.
+LEAST = 700  # the coarse cloth has so many vertices at least: a sock is small, and round
+# Cloth bends under its own weight over so many edges of the coarse mesh at least, if it hangs higher than FREE_M over
+# the skin. Below NEAR_M it keeps its rigidity.
 FOLD_EDGES, NEAR_M, FREE_M = 3.5, 0.04, 0.12
 LOWER = [n for n, name in enumerate(JOINT_NAMES) if name.split("_")[-1] in ("pelvis", "hip", "knee", "ankle", "foot")]
 
 
 @dataclass(frozen=True, eq=False)
 class TwoLevelMemory:
-    """The memory that a frame leaves: that of the ``coarse`` cloth, and the ``fine`` places [m] (P, 3), (0, 3) after a
-    lift.
-    """
+    """What a frame of folds on two levels leaves to the next one: the memory of the ``coarse`` cloth, and where the
+    ``fine`` one lay, [m] (Q, 3), or (0, 3) after a lift."""
 
     coarse: FoldMemory
     fine: np.ndarray
 
     def at(self, time_s: float) -> TwoLevelMemory:
-        """Returns the same memory at another time [s]."""
+        """Returns the same memory, of a frame at ``time_s`` [s]."""
         return replace(self, coarse=self.coarse.at(time_s))
 
 
@@ -80,22 +79,22 @@ Memory = FoldMemory | TwoLevelMemory | LiftMemory
 
 @dataclass(frozen=True, eq=False)
 class OneLevel:
-    """Folds of the fine cloth alone (``fold_step``)."""
+    """The constants of folds on one level: a garment's delivered mesh takes all steps (``fold_step``)."""
 
     constants: FoldConstants
 
     @property
     def nbytes(self) -> int:
-        """The memory of the arrays [bytes]."""
+        """The memory of the arrays, in bytes."""
         return self.constants.nbytes
 
     @property
     def laid(self) -> LaidCloth:
-        """The part of the constants that garments over and below the cloth read."""
+        """The constants that garments over and below the cloth read."""
         return self.constants.laid
 
     def own(self, memory: Memory) -> np.ndarray:
-        """The sample (P,) that each place is at in a ``memory`` that ``fold`` made."""
+        """Returns the skin sample (P,) under each place of the sheet in a ``memory`` that ``fold`` returned."""
         assert isinstance(memory, FoldMemory)
         return memory.touched.own
 
@@ -103,12 +102,11 @@ class OneLevel:
         self, memory: Memory | None, frame: Frame, effort: FoldEffort
     ) -> tuple[np.ndarray, FoldMemory, FoldReport]:
         """Returns the vertices [m] (V, 3) of ``frame`` with their folds, the memory for the next frame, and a report,
-        as ``fold_step.fold`` does. A memory that two levels have left counts as none.
-        """
-        return framed(self.call(memory, frame.time_s, effort), frame, effort)
+        as ``fold_step.fold`` does. A memory of two levels counts as none."""
+        return compute_frame(self.call(memory, frame.time_s, effort), frame, effort)
 
     def call(self, memory: Memory | None, time_s: float, effort: FoldEffort) -> FoldCall:
-        """The call of ``fold`` for a frame at ``time_s`` [s]."""
+        """Returns the engine's call of ``fold`` for a frame at ``time_s`` [s]."""
         return fold_call(self.constants, memory if isinstance(memory, FoldMemory) else None, time_s)
 
     def begins(self, memory: Memory | None, effort: FoldEffort) -> bool:
@@ -118,19 +116,19 @@ class OneLevel:
 
 @dataclass(frozen=True, eq=False)
 class TwoLevel:
-    """The constants of folds on two ``levels``; ``laid`` is the part of the fine cloth that garments over and below it
-    read."""
+    """The constants of folds on two ``levels``, a coarse and a fine cloth; ``laid`` are those of the fine one that
+    garments over and below it read."""
 
     levels: Levels
     laid: LaidCloth
 
     @property
     def nbytes(self) -> int:
-        """The memory of the arrays [bytes]."""
+        """The memory of the arrays, in bytes."""
         return array_bytes(self.levels)
 
     def own(self, memory: Memory) -> np.ndarray:
-        """The sample (P,) that each place of the fine cloth is at in a ``memory`` that ``fold`` made."""
+        """Returns the skin sample (P,) under each place of the fine sheet in a ``memory`` that ``fold`` returned."""
         assert not isinstance(memory, FoldMemory)
         own = memory.own if isinstance(memory, LiftMemory) else memory.coarse.touched.own
         return own[self.levels.fine.parent]
@@ -140,15 +138,16 @@ class TwoLevel:
     ) -> tuple[np.ndarray, TwoLevelMemory | LiftMemory, FoldReport]:
         """Returns the vertices [m] (V, 3) of ``frame``, the memory for the next frame, and a report.
 
-        They are those of ``fold_two_level``; or of ``lifted_alone``, if there are no steps and no earlier folds that
-        fade. A memory that one level has left counts as none.
+        Without steps, and without earlier folds that fade, cloth is eased and lifted alone. The fine cloth gets as many
+        sweeps as ``effort`` has steps of the coarse one. The same input gives the same bits. A memory of one level
+        counts as none.
         """
         if self.begins(memory, effort):
-            return fold_two_level(self, memory, frame, effort)
-        return framed(self.call(memory, frame.time_s, effort), frame, effort)
+            memory = _unfolded(self.levels, memory, frame)
+        return compute_frame(self.call(memory, frame.time_s, effort), frame, effort)
 
     def call(self, memory: Memory | None, time_s: float, effort: FoldEffort) -> FoldCall:
-        """Returns the call of ``fold`` for a frame at ``time_s`` [s], of which ``begins`` is false."""
+        """Returns the engine's call of ``fold`` for a frame at ``time_s`` [s], where ``begins`` is false."""
         if effort.steps or isinstance(memory, TwoLevelMemory):
             return two_level_call(self.levels, memory if isinstance(memory, TwoLevelMemory) else None, time_s)
         return lift_call(self.levels, memory if isinstance(memory, LiftMemory) else None, time_s)
@@ -160,47 +159,49 @@ class TwoLevel:
 
 
 def one_level(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> OneLevel:
-    """The constants of ``garment`` on ``body``, made of ``fabric`` or else its own; takes a third of a second."""
+    """Returns the constants of folds on one level for ``garment`` on ``body``, made of ``fabric`` or else its own. It
+    takes a third of a second."""
     return OneLevel(fold_constants(garment, body, fabric))
 
 
 def two_level(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> TwoLevel:
-    """Returns the constants of two levels for ``garment`` on ``body``, made of ``fabric`` or else its own. It takes
-    half a second to one."""
+    """Returns the constants of folds on two levels for ``garment`` on ``body``, made of ``fabric`` or else its own. It
+    takes half a second to one."""
     worn = worn_cloth(garment, body, fabric)
     vertices = garment.vertices[: garment.vertex_count].astype(np.float64)
-    made = coarse_mesh(garment.delivered_rest(), vertices, worn.cloth.faces, least=LEAST)
-    cloth, fabric = ClothMesh.of(made.rest, made.faces, len(made.vertex)), fabric or fabric_named(garment.fabric)
-    kept = vertices[made.vertex]
-    below = worn_mesh(cloth, kept, body, fabric)
-    coarse = FoldConstants.of(stiffened(below, hanging(kept, body, below.index)))
+    small = coarse_mesh(garment.delivered_rest(), vertices, worn.cloth.faces, least=LEAST)
+    cloth, fabric = ClothMesh.of(small.rest, small.faces, len(small.vertex)), fabric or fabric_named(garment.fabric)
+    rest = vertices[small.vertex]
+    below = worn_mesh(cloth, rest, body, fabric)
+    coarse = FoldConstants.of(stiffen(below, hang_shares(rest, body, below.index)))
     fine = sheet(worn.cloth, worn.material, worn.band_n_per_m)
-    taken, weight = coarse_weights(vertices, worn.cloth.faces, made.vertex, cloth.mean_edge_m)
-    taken, weight = coarse.sheet.place[taken][fine.vertex], weight[fine.vertex]
+    near, weight = coarse_weights(vertices, worn.cloth.faces, small.vertex, cloth.mean_edge_m)
+    near, weight = coarse.sheet.place[near][fine.vertex], weight[fine.vertex]
     most = np.abs(weight).argmax(axis=1)[:, None]
     level = FineLevel(
         fine,
-        _in_blocks(taken, np.int32),
+        _in_blocks(near, np.int32),
         _in_blocks(weight, fine.own.dtype),
-        np.take_along_axis(taken, most, axis=1)[:, 0].astype(np.int32),
+        np.take_along_axis(near, most, axis=1)[:, 0].astype(np.int32),
         tangles_of(worn.cloth.faces, fine.place),
     )
-    levels = Levels(coarse, made.vertex[coarse.sheet.vertex].astype(np.int32), level)
+    levels = Levels(coarse, small.vertex[coarse.sheet.vertex].astype(np.int32), level)
     return TwoLevel(levels, LaidCloth(fine, coarse.graph, worn.index[fine.vertex]))
 
 
-def hanging(kept: np.ndarray, body: BodyModel, index: np.ndarray) -> np.ndarray:
-    """Returns how freely (V,), 0 to 1, ``kept`` [m] (V, 3) hang at rest round hips and legs of ``body``.
+def hang_shares(vertices: np.ndarray, body: BodyModel, index: np.ndarray) -> np.ndarray:
+    """Returns how freely ``vertices`` [m] (V, 3) hang at rest round hips and legs of ``body``, (V,) in [0, 1].
 
-    It rises from ``NEAR_M`` to ``FREE_M`` over the samples ``index`` (V,) of the skin. Round trunk and arms it is 0: an
-    arm that comes down presses cloth into folds that stiffer cloth does not make, and passes through itself.
+    It rises from 0 at the height ``NEAR_M`` over the skin sample ``index`` (V,) to 1 at ``FREE_M``. Round trunk and
+    arms it is 0: an arm that comes down presses cloth into folds that stiffer cloth does not make, and passes through
+    itself.
     """
     skin = body_skin(body)
     lower = (skin.operator[: skin.count] @ body.weights)[:, LOWER].sum(axis=1)[index]
-    return lower * np.clip((heights_m(kept, skin, index) - NEAR_M) / (FREE_M - NEAR_M), 0.0, 1.0)
+    return lower * np.clip((heights_m(vertices, skin, index) - NEAR_M) / (FREE_M - NEAR_M), 0.0, 1.0)
 
 
-def stiffened(worn: WornCloth, hangs: np.ndarray) -> WornCloth:
+def stiffen(worn: WornCloth, hangs: np.ndarray) -> WornCloth:
     """Returns ``worn`` with hinges so stiff that its edges resolve the folds of its own weight.
 
     Cloth of rigidity B [J] and weight q [N/m^2] bends under its weight over the length (B / q)^(1/3) (Cerda, Mahadevan
@@ -221,20 +222,8 @@ def _in_blocks(table: np.ndarray, dtype: Any) -> np.ndarray:
     return np.ascontiguousarray(table.reshape(-1, LANES, table.shape[1]).transpose(0, 2, 1), dtype).reshape(-1)
 
 
-def fold_two_level(
-    constants: TwoLevel, memory: TwoLevelMemory | LiftMemory | None, frame: Frame, effort: FoldEffort
-) -> tuple[np.ndarray, TwoLevelMemory, FoldReport]:
-    """The vertices [m] (V, 3) of ``frame`` with their folds, the memory for the next frame, and a report.
-
-    ``effort`` has as many sweeps of the fine cloth as steps of the coarse one. The same input gives the same bits.
-    """
-    if isinstance(memory, LiftMemory):
-        memory = _unfolded(constants.levels, memory, frame)
-    return framed(two_level_call(constants.levels, memory, frame.time_s), frame, effort)
-
-
 def two_level_call(levels: Levels, memory: TwoLevelMemory | None, time_s: float) -> FoldCall:
-    """The call of ``fold_two_level`` for a frame at ``time_s`` [s]."""
+    """Returns the engine's call of folds on two levels for a frame at ``time_s`` [s] after ``memory``."""
     dtype, places = levels.fine.sheet.own.dtype, len(levels.fine.sheet.vertex)
     past = no_past(dtype) if memory is None else past_of(memory.coarse, time_s, memory.fine)
     after, record = empty_arrays(len(levels.kept), places, dtype)

@@ -15,17 +15,17 @@ from drape.engine.library import LANES
 from drape.geometry import meshes
 from drape.live.clusters import clusters
 
-BORDER, OTHERS = -1, -2  # in ``Tangles.across``: nothing is across the edge; it is another triangle's
+BORDER, OTHERS = -1, -2  # in ``Tangles.across``: no triangle is across; the other triangle has the edge
 
 
 class Tangles(NamedTuple):
-    """The triangles of a cloth in C clusters of ``LANES``.
+    """The triangles of a cloth as untangling takes them, in C clusters of ``LANES``.
 
-    ``corner`` (3 C ``LANES``,) are the places of the corners, three rows for each cluster. ``across`` has as many rows:
-    the place across each edge, the first edge being that from the first to the second corner; ``BORDER`` where there is
-    no triangle across. An edge that two triangles share is looked at in one of them, and is ``OTHERS`` in the other.
-    Clusters that are not full repeat a triangle. ``beside[start[a] : start[a + 1]]`` are cluster a and the clusters
-    behind it that share a corner with it.
+    ``corner`` (3 C ``LANES``,) are the places of the corners in a sheet, three rows for each cluster. ``across`` has as
+    many rows: the place across each edge, the first edge being that from the first to the second corner; ``BORDER``
+    where there is no triangle across. An edge that two triangles share is looked at in one of them, and is ``OTHERS``
+    in the other. Clusters that are not full repeat a triangle. ``beside[start[a] : start[a + 1]]`` are cluster a and
+    the clusters behind it that share a corner with it.
     """
 
     corner: np.ndarray
@@ -35,8 +35,7 @@ class Tangles(NamedTuple):
 
 
 def tangles_of(faces: np.ndarray, place: np.ndarray) -> Tangles:
-    """Returns the triangles ``faces`` (F, 3) as untangling takes them; ``place`` (V,) is the place of each vertex in
-    the sheet."""
+    """Returns the triangles ``faces`` (F, 3) in clusters; ``place`` (V,) is the place of each vertex in the sheet."""
     halves, first, second = meshes.edge_pairs(faces)  # half-edge 3 f + n begins at a corner of face f
     graph = scipy.sparse.coo_matrix(
         (np.ones(2 * len(first)), np.concatenate([[first, second], [second, first]], axis=1) // 3),
@@ -46,10 +45,10 @@ def tangles_of(faces: np.ndarray, place: np.ndarray) -> Tangles:
     across[second] = OTHERS
     across[first] = place[halves[second, 2]]
     member = clusters(graph)
-    flat = [each.reshape(-1, 3)[member].transpose(0, 2, 1).reshape(-1) for each in (place[halves[:, 0]], across)]
+    flat = [table.reshape(-1, 3)[member].transpose(0, 2, 1).reshape(-1) for table in (place[halves[:, 0]], across)]
     touched = scipy.sparse.coo_matrix(
         (np.ones(3 * member.size), (np.arange(len(member)).repeat(3 * LANES), faces[member].reshape(-1))),
         shape=(len(member), len(place)),
     ).tocsr()
     beside = scipy.sparse.csr_matrix(scipy.sparse.triu(touched @ touched.T))
-    return Tangles(*(np.ascontiguousarray(each, np.int32) for each in (*flat, beside.indptr, beside.indices)))
+    return Tangles(*(np.ascontiguousarray(table, np.int32) for table in (*flat, beside.indptr, beside.indices)))

@@ -33,7 +33,7 @@ import scipy.sparse.linalg
 from drape.cloth.energies import ClothMesh, contact_n_per_m
 from drape.cloth.material import Material
 from drape.engine.library import LANES
-from drape.live.dissection import COSTS, dissected, runs
+from drape.live.dissection import COSTS, dissection_order, runs
 from drape.live.sheet import Sheet
 
 # The spring on every vertex, as a share of contact's stiffness: K does not know which contacts are closed. With 0.07
@@ -42,13 +42,14 @@ SPRING = 0.2
 
 
 class PanelLevels(NamedTuple):
-    """The order in which a card multiplies panels: all of a level at once. A panel is a level above those with members
-    among its columns.
+    """The order in which a card multiplies the N panels of a factor: all of a level at once. A panel is a level above
+    those with members among its columns.
 
-    Level n has the entries from ``row_start[n]`` (L + 1,) of ``row_panel`` and ``row``: ``LANES`` rows of a panel, from
-    that one on. Its columns are in ``column`` (V,) from ``column_start[n]`` (L + 1,) on. ``panel`` (V,) is the one that
-    a column is of. What panels leave for column j lies from ``left[j]`` (V + 1,) on, as they come, and the columns
-    between the two ways behind all of it: ``to``, as long as ``member``, is where each member's number goes.
+    Level n has the entries ``row_start[n]`` to ``row_start[n + 1]`` of ``row_panel`` and ``row``: ``LANES`` rows of
+    that panel, from that row on. Its columns are in ``column`` (V,) from ``column_start[n]`` (L + 1,) on. ``panel``
+    (V,) is the panel of each column. In a card's scratch lie first the products of panels, those for column j from
+    ``left[j]`` (V + 1,) on in the order of the panels, then V numbers, one a column, that the way down leaves to the
+    way up. ``to``, as long as ``member``, is where each member's number goes.
     """
 
     row_start: np.ndarray
@@ -61,16 +62,17 @@ class PanelLevels(NamedTuple):
     to: np.ndarray
 
 
-NO_LEVELS = PanelLevels(*[np.zeros(0, np.int32)] * 8)  # what processors have
+NO_LEVELS = PanelLevels(*[np.zeros(0, np.int32)] * 8)  # of a processor, which needs none
 
 
 class StiffnessFactor(NamedTuple):
-    """The factor L D L^T of K: L as N panels, and ``inverse`` (V,), the diagonal of 1 / D. Rows are in its own order.
+    """The factor L D L^T of the stiffness K of V vertices, with L as N panels; ``inverse`` (V,) is the diagonal of 1 /
+    D. Rows are in its own order.
 
-    Panel p has the columns from ``column[p]`` to ``column[p + 1]`` (N + 1,). Its members are its columns and the rows
-    below them, ``size[p]`` of them (N,). They are in ``member`` from ``start[p]`` (N + 1,) on, padded with its first
-    column to a multiple of ``LANES``. Its numbers are in ``value`` from ``entry[p]`` (N,) on, column after column.
-    ``place`` (V,) is the place of each row in a sheet. ``levels`` is the order of a card, empty for a processor.
+    Panel p has the columns ``column[p]`` to ``column[p + 1]`` (N + 1,). Its members are its columns and the rows below
+    them, ``size[p]`` of them (N,). They are in ``member`` from ``start[p]`` (N + 1,) on, padded with its first column
+    to a multiple of ``LANES``. Its numbers are in ``value`` from ``entry[p]`` (N,) on, column after column. ``place``
+    (V,) is the place of each row in a sheet. ``levels`` is the order of a card, empty for a processor.
     """
 
     place: np.ndarray
@@ -85,7 +87,8 @@ class StiffnessFactor(NamedTuple):
 
 
 def stiffness(cloth: ClothMesh, material: Material, band_n_per_m: np.ndarray) -> Any:
-    """K [N/m] (V, V), a sparse matrix, of ``cloth`` whose vertices are held by ``band_n_per_m`` (V,)."""
+    """Returns the stiffness K [N/m] (V, V) at rest, a sparse matrix in compressed columns, of ``cloth`` with springs of
+    ``band_n_per_m`` [N/m] (V,) on its vertices."""
     a, b, c, d = cloth.inverse_shape
     slopes = np.stack([np.stack([-a - b, -c - d]), np.stack([a, c]), np.stack([b, d])])  # (corner, axis, F)
     warp, weft, _, shear = (float(value) for value in material.membrane)
@@ -98,10 +101,10 @@ def stiffness(cloth: ClothMesh, material: Material, band_n_per_m: np.ndarray) ->
 
 
 def stiffness_factor(cloth: ClothMesh, material: Material, band_n_per_m: np.ndarray, sheet: Sheet) -> StiffnessFactor:
-    """Returns the factor of the stiffness K of ``cloth`` of ``material``, in the order of places of ``sheet`` and with
-    floats of the sheet's type. ``band_n_per_m`` (V,) are the springs that hold its vertices."""
+    """Returns the factor of the stiffness K of ``cloth`` of ``material``, with floats of the type of ``sheet`` and its
+    places. ``band_n_per_m`` [N/m] (V,) are springs on the vertices."""
     matrix = stiffness(cloth, material, band_n_per_m).tocsr()
-    order = dissected(matrix.indptr, matrix.indices)
+    order = dissection_order(matrix.indptr, matrix.indices)
     # A symmetric positive matrix needs no pivots, and without them U is D L^T.
     lu = scipy.sparse.linalg.splu(
         matrix[order][:, order].tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}

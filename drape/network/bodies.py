@@ -19,14 +19,18 @@ from drape.engine.calls import call, call_with_scratch
 from drape.engine.packer import Recorded
 from drape.network.weights import Weights
 
-NO_POSE = np.zeros((0, 4), np.float32)  # of a feed whose pose is left open
+NO_POSE = np.zeros((0, 4), np.float32)  # of a feed without a pose
 
 
 @dataclass(frozen=True, eq=False)
 class PosedBody(Recorded):
-    """A body: of its bones the ``quaternion`` (24, 4), of any length, ``rotation`` (24, 9), ``translation`` and joint
-    ``place`` [m] (24, 3); the body's half of the first layer, ``code``; shape components ``betas``; samples ``skin``
-    (S, 8) and the mean points of their ``region`` [m] (R, 4), with half of their squares."""
+    """A posed body as the network reads it. Places count from the root joint's rest place.
+
+    ``quaternion`` (24, 4) wxyz of any length, ``rotation`` (24, 9) and ``translation`` [m] (24, 3) are the bones'
+    motion from the T-pose; ``place`` [m] (24, 3) are the posed joints. ``code`` (n,) is the summand of the decoder's
+    first layer that depends on the body alone, ``betas`` (10,) its shape. ``skin`` (S, 8) are the posed samples,
+    ``region`` (R, 4) the mean point [m] of each region of samples and half of its square.
+    """
 
     quaternion: np.ndarray
     rotation: np.ndarray
@@ -39,8 +43,8 @@ class PosedBody(Recorded):
 
 
 def pose_bodies(weights: Weights, feed: BodyFeed, skin: np.ndarray) -> PosedBody:
-    """Returns the ``PosedBody`` of ``feed``. ``skin`` (S, 8) is written here, or is given already posed where ``feed``
-    has no rows for it."""
+    """Returns the posed body of ``feed``. Its samples are written to ``skin`` (S, 8); where ``feed`` has no rows for
+    them, ``skin`` must hold them already."""
     kind = skin.dtype
     quaternion, rotation, translation, place = (np.empty((JOINT_COUNT, size), kind) for size in (4, 9, 3, 3))
     code, region = np.empty(len(weights.from_body.bias), kind), np.empty((len(skin) // REGION_SIZE, 4), kind)
@@ -50,8 +54,8 @@ def pose_bodies(weights: Weights, feed: BodyFeed, skin: np.ndarray) -> PosedBody
 
 
 def moments(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray | None = None) -> Kinematics:
-    """Returns what ``drape.graph.feeds.kinematics`` does, of a body of one shape: ``poses`` (F, 24, 3) [rad], ``trans``
-    (F, 3) [m]."""
+    """Returns pose features, joints [m] in the world and bone rotations of F frames, float64, of a body of one shape
+    ``betas`` (S,), for ``poses`` (F, 24, 3) [rad] and root translations ``trans`` [m] (F, 3)."""
     count = len(poses)
     static, joints = np.empty((count, JOINT_COUNT, STATIC_PER_JOINT)), np.empty((count, JOINT_COUNT, 3))
     rotations = np.empty((count, JOINT_COUNT, 3, 3))

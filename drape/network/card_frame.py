@@ -23,24 +23,24 @@ from drape.live.clock import step_between
 from drape.live.fold_step import OUTCOME, no_arrays, read_outcome
 from drape.live.swing_step import SwingMemory
 from drape.live.two_level import OneLevel, TwoLevel
-from drape.network.card_memory import SWING, CardMemory, Layout, fetched, name_of, on_card
+from drape.network.card_memory import SWING, CardMemory, Layout, name_of, to_card, to_processor
 from drape.network.frame import (
-    Drawn,
     FrameCall,
     FrameGarment,
     FrameOutfit,
+    FrameResult,
     LayerCall,
     Moment,
     Past,
     draw,
     frame_parts,
-    read_told,
+    read_results,
 )
 
 _FLOAT, _WORD = np.dtype(np.float32), np.dtype(np.uint64)
-_POSE, _OWN = 72, 7  # numbers of a pose, and of a garment: two origins and a time
-_CLOCK = 14  # words of FoldMemory before its turn and step, and of SwingMemory before its time
-KEPT = 256  # templates of an outfit, most of them for bodies of other shapes
+_POSE, _OWN = 72, 7  # how many numbers a pose has, and a garment: two origins and a time
+_CLOCK = 14  # the word of FoldMemory that is its turn, before its step, and of SwingMemory that is its time
+KEPT = 256  # the most templates of an outfit: bodies of other shapes have their own
 _Before = tuple[CardMemory | None, CardMemory | None]  # what a garment goes on from: memories of swing and of folds
 
 
@@ -53,13 +53,14 @@ class _Kind(NamedTuple):
 
 
 class CardGarment:
-    """A garment, ``worn``, whose folds the function ``name`` makes, as the card of ``lane`` draws it."""
+    """A garment's constants on the card of ``lane``. The engine's function ``name`` makes its folds; empty: it has
+    none."""
 
     def __init__(self, lane: Lane, worn: FrameGarment, name: str) -> None:
         folds, shared = worn.folds, (worn.weights, worn.patches, worn.tiles, worn.kept, worn.swing)
-        beside, cloth, fine = [lane.placed(one) for one in shared if one is not None], None, 0
+        beside, cloth, fine = [lane.place_constants(part) for part in shared if part is not None], None, 0
         if folds is not None:
-            cloth = lane.cloth(folds.constants if isinstance(folds, OneLevel) else folds.levels)
+            cloth = lane.place_cloth(folds.constants if isinstance(folds, OneLevel) else folds.levels)
             beside.append(cloth)
         if isinstance(folds, TwoLevel):
             fine = len(folds.levels.fine.sheet.vertex)
@@ -71,14 +72,17 @@ class CardGarment:
     def call(
         self, kind: _Kind, pieces: np.ndarray, own: np.ndarray, solid: np.ndarray, vertices: np.ndarray
     ) -> LayerCall:
-        """The call of a garment of this ``kind`` whose memories before and after are in ``pieces`` (3, n) uint8, and
-        whose numbers are its ``own``."""
+        """Returns the engine's record of the garment in a frame of this ``kind``, for a template.
+
+        Its memories of folds before the frame, of swing before it, and of both after it lie in ``pieces`` (3, n) uint8.
+        ``own`` are its numbers, ``solid`` (M, 16) the frame's colliders; it writes to ``vertices`` (V, 3).
+        """
         (before, swung_before, after), layout, swung, swung_then = pieces, self.layout, None, None
         if layout.nodes:
             swung = SwingMemory(0.0, origin=own[:3], colliders=solid, **layout.views(after, SWING))
             found = layout.views(swung_before, SWING)
             if not kind.swings_on:
-                found = {field: one[:0] for field, one in found.items()} | {"still_since_s": own[6:7]}
+                found = {field: array[:0] for field, array in found.items()} | {"still_since_s": own[6:7]}
             swung_then = SwingMemory(-math.inf, origin=own[3:6], colliders=own[_OWN:], **found)
         past = _folded(layout, before) if kind.follows else Record("FoldMemory", no_arrays(_FLOAT), _FLOAT)
         lifts = layout.name == "lift_alone"
@@ -92,21 +96,22 @@ def _folded(layout: Layout, piece: np.ndarray) -> Record:
 
 
 class CardOutfit:
-    """An ``outfit``, whose garments' folds the functions ``names`` make, as the card of ``lane`` draws it."""
+    """An outfit's constants on the card of ``lane``. The engine's functions ``names`` make the folds of its
+    garments."""
 
     def __init__(self, lane: Lane, outfit: FrameOutfit, names: Sequence[str]) -> None:
-        self._outfit, self._placed = outfit, lane.placed
+        self._outfit, self._place = outfit, lane.place_constants
         self.garments = [
-            lane.kept(worn, name, lambda worn=worn, name=name: CardGarment(lane, worn, name))
+            lane.cached(worn, name, lambda worn=worn, name=name: CardGarment(lane, worn, name))
             for worn, name in zip(outfit.garments, names, strict=True)
         ]
         self.vertices, self.steps = outfit.vertex_count, outfit.shown_count if outfit.step_count else 0
-        self._made = lru_cache(KEPT)(self._template)
+        self._templates = lru_cache(KEPT)(self._template)
 
     def template(self, kinds: tuple[_Kind, ...], colliders: int, feed: BodyFeed) -> tuple[FrameTemplate, np.ndarray]:
-        """Returns the row of a frame of these ``kinds`` among so many ``colliders``, on the body of ``feed``, and the
-        columns of its numbers."""
-        return self._made(kinds, colliders, self._placed(feed))
+        """Returns the row that frames of these ``kinds`` have in a launch, with so many ``colliders`` and on the body
+        of ``feed``, and the columns (n,) of the numbers in it that differ from frame to frame."""
+        return self._templates(kinds, colliders, self._place(feed))
 
     def _template(self, kinds: tuple[_Kind, ...], colliders: int, body: Any) -> tuple[FrameTemplate, np.ndarray]:
         lengths = [_POSE, 16 * colliders, *(_OWN + 16 * kind.colliders for kind in kinds)]
@@ -115,30 +120,32 @@ class CardOutfit:
         steps, vertices = np.zeros(6 * self.steps + 16, np.uint8), np.zeros(12 * self.vertices + 16, np.uint8)
         places, pieces = vertices.view(_FLOAT)[: 3 * self.vertices].reshape(-1, 3), list[np.ndarray]()
         layers = []
-        for made, kind, own, rows in zip(self.garments, kinds, owns, self._outfit.rows, strict=True):
-            memories = np.zeros((3, made.layout.size), np.uint8)
-            layers.append(made.call(kind, memories, own, solid, places[rows]))
+        for garment, kind, own, rows in zip(self.garments, kinds, owns, self._outfit.rows, strict=True):
+            memories = np.zeros((3, garment.layout.size), np.uint8)
+            layers.append(garment.call(kind, memories, own, solid, places[rows]))
             pieces.extend(memories)
         shown, written = places[: self._outfit.shown_count], steps.view(np.uint16)[: 3 * self.steps]
         call = FrameCall(layers, body.flat.record, pose, solid, shown, written, self._outfit.step_count)
-        placed = [*(made.parts for made in self.garments), body]
-        made = FrameTemplate(Record("FrameCall", call, _FLOAT), numbers.view(_WORD), [*pieces, steps, vertices], placed)
-        _, _, *starts, own = made.starts
+        placed = [*(garment.parts for garment in self.garments), body]
+        template = FrameTemplate(
+            Record("FrameCall", call, _FLOAT), numbers.view(_WORD), [*pieces, steps, vertices], placed
+        )
+        _, _, *starts, own = template.starts
         clocks = list[int]()
         for garment in self.garments:
             swings, folds_then = starts[: 2 if garment.layout.nodes else 0], starts[2 if garment.layout.nodes else 0]
             clocks += [folds_then + _CLOCK, folds_then + _CLOCK + 1, *(start + _CLOCK for start in swings)]
             del starts[: len(swings) + 2]
-        return made, np.array([*clocks, *range(own, made.size)])
+        return template, np.array([*clocks, *range(own, template.size)])
 
 
 class FrameJob:
-    """Frames of one outfit that a lane is asked for: those at the ``moments`` of each stream, one after the other, of
-    which the first goes on from the stream's ``pasts``, one of each garment.
+    """F frames of one outfit that a lane is asked for: those of each stream at its ``moments``, one after the other.
+    The first frame of a stream goes on from its ``pasts``, one for each garment.
 
-    ``drawn`` are the frames once the card has drawn them, as ``frame.draw`` returns them; False for what needs more
-    scratch than the card has, and for what goes on from that. ``vertices`` [m] (F, V, 3) come back where there are no
-    ``steps`` (F, V', 3), and are no numbers else.
+    ``drawn`` (F,) are the results once the card has drawn them, as ``frame.draw`` returns them; False for what needs
+    more scratch than the card has, and for what goes on from that. Of the arrays one is filled: ``steps`` (F, V', 3)
+    uint16, or where an outfit has none ``vertices`` [m] (F, V, 3), which are NaN otherwise.
     """
 
     def __init__(
@@ -146,56 +153,60 @@ class FrameJob:
     ) -> None:
         self._outfit, self._pasts, self._lengths = outfit, pasts, [len(own) for own in moments]
         self._at = [at for own in moments for at in own]
-        self._names = made_by(outfit, pasts[0])
+        self._names = fold_functions(outfit, pasts[0])
         self.done, self.since_s = threading.Event(), 0.0
-        self.drawn: list[Drawn | bool | None] = [False] * len(self._at)
+        self.drawn: list[FrameResult | bool | None] = [False] * len(self._at)
         self.vertices, self.steps = no_frames(outfit, len(self._at))
 
     def __len__(self) -> int:
         return len(self._at)
 
     def place(self, lane: Lane, launch: FrameLaunch) -> None:
-        """Adds the frames to ``launch``. Raises ``MemoryError`` where the card has no room for what they leave."""
-        made = lane.kept(self._outfit, " ".join(self._names), lambda: CardOutfit(lane, self._outfit, self._names))
-        self._layouts = [garment.layout for garment in made.garments]
+        """Adds the frames to ``launch``. Raises ``MemoryError`` where the card has no room for the memories that they
+        leave."""
+        constants = lane.cached(
+            self._outfit, " ".join(self._names), lambda: CardOutfit(lane, self._outfit, self._names)
+        )
+        self._layouts = [garment.layout for garment in constants.garments]
         self._slots = [[Slot(lane, layout.size) for layout in self._layouts] for _ in self._at]
-        self._steps_at = launch.reserve(6 * made.steps * len(self))
-        self._vertices_at = launch.reserve(12 * made.vertices * len(self) + 16, back=not made.steps)
+        self._steps_at = launch.reserve(6 * constants.steps * len(self))
+        self._vertices_at = launch.reserve(12 * constants.vertices * len(self) + 16, back=not constants.steps)
         first, self._first = launch.chains(self._lengths, len(self._names))
         before, kinds = list(self._before(lane)), dict[Any, list[int]]()
-        self._kept = [[[memory and memory.kept for memory in one] for one in known] for known in before]
+        self._kept = [[[memory and memory.kept for memory in pair] for pair in known] for known in before]
         for i, (at, known) in enumerate(zip(self._at, before, strict=True)):
-            kind = tuple(_kind_of(one, at) for one in known), at.colliders.size // 16, at.body
+            kind = tuple(_kind_of(pair, at) for pair in known), at.colliders.size // 16, at.body
             kinds.setdefault(kind, []).append(i)
-        addresses = np.array([_addresses(*one) for one in zip(before, self._slots, strict=True)])
-        back, sizes = np.array([True, not made.steps]), np.array([6 * made.steps, 12 * made.vertices])
+        addresses = np.array([_addresses(*pair) for pair in zip(before, self._slots, strict=True)])
+        back, sizes = np.array([True, not constants.steps]), np.array([6 * constants.steps, 12 * constants.vertices])
         for (kind, colliders, feed), frames in kinds.items():
-            template, columns = made.template(kind, colliders, feed)
+            template, columns = constants.template(kind, colliders, feed)
             row = np.array(frames)
             written = np.array([self._steps_at, self._vertices_at]) + sizes * row[:, None]
             numbers = self._numbers(kind, [before[i] for i in frames], [self._at[i] for i in frames])
             launch.add(Group(template, first + row, addresses[row], written, back, columns, numbers))
 
-    def read(self, told: np.ndarray, back: np.ndarray) -> None:
-        """Takes the frames from what the layers of the launch have ``told`` (L, TOLD), and from what came ``back``."""
-        own = told[self._first :][: len(self) * len(self._names)].reshape(len(self), -1, TOLD)
+    def read(self, results: np.ndarray, back: np.ndarray) -> None:
+        """Fills ``drawn`` and the arrays from a launch that has ended: ``results`` (L, TOLD) int64 of all its layers,
+        and ``back`` (n,) uint8, all that it copied back."""
+        own = results[self._first :][: len(self) * len(self._names)].reshape(len(self), -1, TOLD)
         if self.steps.size:
             self.steps = back[self._steps_at :][: self.steps.nbytes].view(np.uint16).reshape(self.steps.shape)
         else:
             self.vertices = back[self._vertices_at :][: self.vertices.nbytes].view(_FLOAT).reshape(self.vertices.shape)
-        (novelty, ticks, low, step), returned = read_told(own), own[:, 0, -1].tolist()
+        (novelty, ticks, low, step), returned = read_results(own), own[:, 0, -1].tolist()
         ends = set(np.cumsum(self._lengths).tolist())
         for i, at in enumerate(self._at):
             if returned[i] != 1:
                 self.drawn[i] = None if returned[i] == 0 else False
                 continue
-            turns, _, reports = zip(*(read_outcome(one) for one in own[i, :, :OUTCOME]), strict=True)
+            turns, _, reports = zip(*(read_outcome(outcome) for outcome in own[i, :, :OUTCOME]), strict=True)
             left = self._left(i, at, turns, self._kept[i])
             if i + 1 in ends:
-                left = ([memory and memory.keeping() for memory in one] for one in left)
-            pasts: Any = tuple(Past(*one) for one in left)  # pyright: ignore[reportArgumentType]
+                left = ([memory and memory.with_copy() for memory in pair] for pair in left)
+            pasts: Any = tuple(Past(*pair) for pair in left)  # pyright: ignore[reportArgumentType]
             reports = tuple(report if name else None for report, name in zip(reports, self._names, strict=True))
-            self.drawn[i] = Drawn(pasts, reports, novelty[i], low[i], step[i], ticks[i])
+            self.drawn[i] = FrameResult(pasts, reports, novelty[i], low[i], step[i], ticks[i])
 
     def _left(self, i: int, at: Moment, turns: Sequence[int], kept: Sequence[Any]) -> Iterator[_Before]:
         """The memories that frame ``i``, ``at`` a moment, leaves of each garment, of which folds have these ``turns``,
@@ -210,11 +221,11 @@ class FrameJob:
         i, none = 0, [0] * len(self._names)
         for pasts, length in zip(self._pasts, self._lengths, strict=True):
             both = zip(self._layouts, pasts, strict=True)
-            first = [(on_card(lane, layout, past.swung), on_card(lane, layout, past.folded)) for layout, past in both]
-            kept = [[memory and memory.kept for memory in one] for one in first]
+            first = [(to_card(lane, layout, past.swung), to_card(lane, layout, past.folded)) for layout, past in both]
+            kept = [[memory and memory.kept for memory in pair] for pair in first]
             yield first
             for number in range(i, i + length - 1):
-                yield list(self._left(number, self._at[number], none, kept))  # the card sets turns
+                yield list(self._left(number, self._at[number], none, kept))  # the card sets their turns
             i += length
 
     def _numbers(self, kinds: Sequence[_Kind], before: Sequence[Sequence[_Before]], at: Sequence[Moment]) -> np.ndarray:
@@ -247,8 +258,8 @@ def _kind_of(before: _Before, at: Moment) -> _Kind:
 
 def _addresses(before: Sequence[_Before], after: Sequence[Slot]) -> list[int]:
     """Where the memories of a frame's garments are: of folds and swing before it, and of both after it."""
-    each = zip(before, after, strict=True)
-    return [at for (swung, folded), slot in each for at in (_address(folded), _address(swung), slot.address)]
+    pairs = zip(before, after, strict=True)
+    return [at for (swung, folded), slot in pairs for at in (_address(folded), _address(swung), slot.address)]
 
 
 def _address(memory: CardMemory | None) -> int:
@@ -256,17 +267,19 @@ def _address(memory: CardMemory | None) -> int:
 
 
 def no_frames(outfit: FrameOutfit, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Returns vertices (F, V, 3), which are no numbers and take no memory, and room for steps (F, V', 3)."""
+    """Returns the vertices (F, V, 3) of ``count`` frames, a view of a single NaN, and unwritten steps (F, V', 3)
+    uint16; V' is 0 for an outfit without steps."""
     vertices = np.broadcast_to(_FLOAT.type(np.nan), (count, outfit.vertex_count, 3))
     return vertices, np.empty((count, outfit.shown_count if outfit.step_count else 0, 3), np.uint16)
 
 
-def made_by(outfit: FrameOutfit, pasts: Sequence[Past]) -> tuple[str, ...]:
-    """Returns the names of the functions that make the folds of a frame's garments."""
-    return tuple(_made_by(worn, past, outfit) for worn, past in zip(outfit.garments, pasts, strict=True))
+def fold_functions(outfit: FrameOutfit, pasts: Sequence[Past]) -> tuple[str, ...]:
+    """Returns for each garment the name of the engine's function that makes its folds in the frame after ``pasts``;
+    empty for a garment without folds."""
+    return tuple(_fold_function(worn, past, outfit) for worn, past in zip(outfit.garments, pasts, strict=True))
 
 
-def _made_by(worn: FrameGarment, past: Past, outfit: FrameOutfit) -> str:
+def _fold_function(worn: FrameGarment, past: Past, outfit: FrameOutfit) -> str:
     if worn.folds is None:
         return ""
     if isinstance(worn.folds, OneLevel):
@@ -276,33 +289,34 @@ def _made_by(worn: FrameGarment, past: Past, outfit: FrameOutfit) -> str:
 
 def draw_by_card(
     lanes: Lanes, outfit: FrameOutfit, pasts: Sequence[Sequence[Past]], moments: Sequence[Sequence[Moment]]
-) -> tuple[list[Drawn | None], np.ndarray, np.ndarray]:
-    """Computes frames of streams, each stream's one after the other, as ``frame.draw`` does. Returns them, and the
-    vertices and steps that ``FrameJob`` has.
+) -> tuple[list[FrameResult | None], np.ndarray, np.ndarray]:
+    """Returns F frames, those of one stream after the other, as ``frame.draw`` does, their vertices [m] (F, V, 3) and
+    their steps (F, V', 3); of the two arrays one is filled, as in ``FrameJob``.
 
-    Those that the card does not draw are the processor's; what a card has that is gone, they do without.
+    ``pasts`` and ``moments`` are by stream. A processor computes what no card draws, and without the memories of a card
+    that is gone.
     """
     groups: dict[tuple[tuple[str, ...], Lane], list[int]] = {}
     for k, own in enumerate(pasts):
         memories = [memory for past in own for memory in past]
-        groups.setdefault((made_by(outfit, own), lanes.of(memories)), []).append(k)
+        groups.setdefault((fold_functions(outfit, own), lanes.of(memories)), []).append(k)
     jobs = [FrameJob(outfit, [pasts[k] for k in own], [moments[k] for k in own]) for own in groups.values()]
     lanes.draw([(lane, job) for (_, lane), job in zip(groups, jobs, strict=True)])
     if len(jobs) == 1 and False not in jobs[0].drawn:
         return jobs[0].drawn, jobs[0].vertices, jobs[0].steps  # pyright: ignore[reportReturnType]
     begins = np.cumsum([0, *map(len, moments)]).tolist()
-    vertices, steps = (np.array(one) for one in no_frames(outfit, begins[-1]))
-    frames: list[Drawn | None] = [None] * begins[-1]
+    vertices, steps = (np.array(rows) for rows in no_frames(outfit, begins[-1]))
+    frames: list[FrameResult | None] = [None] * begins[-1]
     for job, own in zip(jobs, groups.values(), strict=True):
         i = 0
         for k in own:
             before = pasts[k]
             for number, at in enumerate(moments[k]):
-                row, made = begins[k] + number, job.drawn[i]
-                if isinstance(made, bool):
-                    here = [Past(*map(fetched, past)) for past in before]
-                    made = draw(outfit, here, at, vertices[row], steps[row])
+                row, result = begins[k] + number, job.drawn[i]
+                if isinstance(result, bool):
+                    here = [Past(*map(to_processor, past)) for past in before]
+                    result = draw(outfit, here, at, vertices[row], steps[row])
                 else:
                     vertices[row], steps[row] = job.vertices[i], job.steps[i]
-                frames[row], before, i = made, made.pasts if made else before, i + 1
+                frames[row], before, i = result, result.pasts if result else before, i + 1
     return frames, vertices, steps

@@ -17,15 +17,16 @@ from drape.live.skin_walks import TouchedSamples
 from drape.live.swing_step import SwingMemory
 from drape.live.two_level import Memory, TwoLevelMemory
 
-KEPT_S = 0.2  # below the pause at which a memory is forgotten
-SWING = "swing"  # the name of its memories, where those of folds have that of the function which made them
+KEPT_S = 0.2  # less than PAUSE_S, after which a memory is forgotten
+SWING = "swing"  # the name of memories of swing; those of folds are called by the function that made them
 _POINTS = {SWING: ("network", "swung", "speed"), "lift_alone": ("network", "residual")}
 _FOLDED = ("network", "residual", "velocity", "grip")
 
 
 class Layout(NamedTuple):
-    """Where the arrays of a frame's memories lie in a piece: of swing, on so many ``nodes``, and behind it those of
-    folds by ``name``, on so many ``places`` and, of a fine cloth, ``fine`` ones."""
+    """Where the memories that a frame leaves lie in a piece of a card's memory: those of swing, of ``nodes`` nodes,
+    then those of the folds that the engine's function ``name`` makes, of ``places`` places and, of a fine cloth,
+    ``fine`` ones."""
 
     name: str
     nodes: int
@@ -33,7 +34,7 @@ class Layout(NamedTuple):
     fine: int
 
     def fields(self, name: str) -> dict[str, tuple[tuple[int, ...], Any]]:
-        """The arrays of the memory ``name``, by the fields of the engine's record: their shapes and types."""
+        """Returns shape and dtype of each array of the memory ``name``, by the fields of the engine's record."""
         if name == SWING:
             count = self.nodes
             rest = {
@@ -50,19 +51,19 @@ class Layout(NamedTuple):
 
     @property
     def size(self) -> int:
-        """The bytes of the piece."""
+        """The size of the piece in bytes."""
         return sum(_bytes(*field) for name in self._names for field in self.fields(name).values())
 
     def views(self, piece: np.ndarray, name: str) -> dict[str, np.ndarray]:
-        """The arrays of the memory ``name`` in a ``piece`` (size,) uint8."""
-        found, at = dict[str, np.ndarray](), 0
+        """Returns views of the arrays of the memory ``name`` in a ``piece`` (size,) uint8, by field."""
+        arrays, at = dict[str, np.ndarray](), 0
         for own in self._names[: self._names.index(name) + 1]:
             for field, (shape, dtype) in self.fields(own).items():
                 end = at + math.prod(shape) * np.dtype(dtype).itemsize
                 if own == name:
-                    found[field] = piece[at:end].view(dtype).reshape(shape)
+                    arrays[field] = piece[at:end].view(dtype).reshape(shape)
                 at += _bytes(shape, dtype)
-        return found
+        return arrays
 
     @property
     def _names(self) -> list[str]:
@@ -76,11 +77,12 @@ def _bytes(shape: tuple[int, ...], dtype: Any) -> int:
 
 @dataclass(frozen=True, eq=False)
 class CardMemory:
-    """The memory ``name`` of a frame at ``time_s`` [s], in a ``slot`` of a card by its ``layout``.
+    """The memory that a frame at ``time_s`` [s] left in a ``slot`` of a card: of swing, or of the folds that the
+    engine's function ``name`` makes. ``layout`` says where its arrays are.
 
-    Folds have a ``turn``; swing has the ``origin`` [m] (3,) of its coordinates, and the ``colliders`` (M, 16) from
-    there. ``kept`` is the stream's memory of this frame, or of one up to ``KEPT_S`` before it, as a processor has it: a
-    card that fails takes no more than frames along.
+    Folds have a ``turn``; swing has the ``origin`` [m] (3,) of its coordinates in the world, and the ``colliders`` (M,
+    16) as seen from there. ``kept`` is a copy for the processor, of this frame's memory or of one up to ``KEPT_S``
+    before it; so a card that fails takes no more than these frames along.
     """
 
     slot: Slot
@@ -93,57 +95,60 @@ class CardMemory:
     kept: Any = None
 
     def at(self, time_s: float) -> CardMemory:
-        """Returns the same memory at another time [s]."""
+        """Returns the same memory, of a frame at ``time_s`` [s]."""
         return replace(self, time_s=time_s)
 
     def leads_to(self, time_s: float) -> bool:
-        """Whether a frame at ``time_s`` [s] may go on from this one, if it is no cut."""
+        """Whether ``time_s`` [s] is so soon after this frame, and not before it, that a frame then may go on from
+        it."""
         return 0.0 <= time_s - self.time_s <= PAUSE_S
 
-    def keeping(self) -> CardMemory:
-        """Returns the same memory with itself ``kept`` where what is kept is too old."""
+    def with_copy(self) -> CardMemory:
+        """Returns this memory, with a new copy ``kept`` if the copy is ``KEPT_S`` old or there is none."""
         if self.kept is not None and 0.0 <= self.time_s - _time_of(self.kept) < KEPT_S:
             return self
-        return replace(self, kept=self.fetched)
+        return replace(self, kept=self.on_processor)
 
     @cached_property
-    def fetched(self) -> Memory | SwingMemory | None:
-        """The memory as a processor has it; what is ``kept`` if the card is gone."""
+    def on_processor(self) -> Memory | SwingMemory | None:
+        """The memory, copied from the card, for the processor; if the card is gone ``kept``, which may be None."""
         piece = self.slot.read()
         if piece is None:
             return self.kept
-        found = self.layout.views(piece, self.name)
+        arrays = self.layout.views(piece, self.name)
         if self.name == SWING:
             assert self.origin is not None and self.colliders is not None
-            return SwingMemory(self.time_s, origin=self.origin, colliders=self.colliders, **found)
+            return SwingMemory(self.time_s, origin=self.origin, colliders=self.colliders, **arrays)
         if self.name == "lift_alone":
-            return LiftMemory(self.time_s, found["network"], found["own"], found["residual"])
-        touched = TouchedSamples(found["own"], found["other"])
+            return LiftMemory(self.time_s, arrays["network"], arrays["own"], arrays["residual"])
+        touched = TouchedSamples(arrays["own"], arrays["other"])
         memory = FoldMemory(
-            self.time_s, found["network"], found["residual"], found["velocity"], touched, found["grip"], self.turn
+            self.time_s, arrays["network"], arrays["residual"], arrays["velocity"], touched, arrays["grip"], self.turn
         )
-        return TwoLevelMemory(memory, found["fine"]) if self.name == "fold_two_levels" else memory
+        return TwoLevelMemory(memory, arrays["fine"]) if self.name == "fold_two_levels" else memory
 
 
 def _time_of(memory: Any) -> float:
     return memory.coarse.time_s if isinstance(memory, TwoLevelMemory) else memory.time_s
 
 
-def fetched(memory: Any) -> Any:
-    """Returns ``memory`` as a processor has it, from a card if it is there."""
-    return memory.fetched if isinstance(memory, CardMemory) else memory
+def to_processor(memory: Any) -> Any:
+    """Returns ``memory`` for the processor: one on a card is copied from it (``CardMemory.on_processor``), any other,
+    also None, is returned itself."""
+    return memory.on_processor if isinstance(memory, CardMemory) else memory
 
 
 def name_of(memory: Any) -> str:
-    """Returns the name of what made a ``memory``; empty where there is none."""
+    """Returns the name of the engine's function that made the folds of a ``memory``, ``SWING`` for a memory of swing,
+    and an empty name for None."""
     if isinstance(memory, CardMemory):
         return memory.name
     names = {TwoLevelMemory: "fold_two_levels", FoldMemory: "fold", LiftMemory: "lift_alone", SwingMemory: SWING}
     return names.get(type(memory), "")
 
 
-def on_card(lane: Lane, layout: Layout, memory: Any) -> CardMemory | None:
-    """Returns a ``memory`` on the card of ``lane``, to which it goes if it is not there; None where a frame of this
+def to_card(lane: Lane, layout: Layout, memory: Any) -> CardMemory | None:
+    """Returns ``memory`` on the card of ``lane``, copied there if need be. None: there is no memory, or a frame of this
     ``layout`` cannot go on from it."""
     name = name_of(memory)
     if name not in (SWING, layout.name):
@@ -151,7 +156,7 @@ def on_card(lane: Lane, layout: Layout, memory: Any) -> CardMemory | None:
     if isinstance(memory, CardMemory):
         if memory.slot.lane is lane:
             return memory
-        memory = memory.fetched
+        memory = memory.on_processor
     if memory is None:
         return None
     coarse = memory.coarse if isinstance(memory, TwoLevelMemory) else memory

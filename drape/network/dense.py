@@ -12,17 +12,17 @@ from drape.engine.library import LANES, has_tiles
 from drape.engine.packer import Recorded
 from drape.network.tiled import tiles_of
 
-OUTPUTS = 8  # of a row of patches that are summed at once
+OUTPUTS = 8  # outputs that are summed at once for a row of patches
 
 
 @dataclass(frozen=True, eq=False)
 class Layer(Recorded):
-    """A layer: flat ``weight`` and ``bias`` (outputs,), filled up with zeros. A negative sum is multiplied by the
-    ``slope``: 1 where nothing bends.
+    """A dense layer with the bend x -> max(x, 0) + ``slope`` min(x, 0); slope 1 is no bend. ``bias`` (outputs,) and
+    ``weight`` are filled up with zeros to whole groups of outputs.
 
-    Of patches ``weight`` is (outputs / 8, inputs, 8); ``tiles`` are the same weights for a processor that has tiles,
-    else none (``drape.network.tiled``). Of a body it is (outputs / 16, inputs, 16), so that memory is read from end to
-    end, and there are no ``tiles``.
+    ``weight`` is flat. For patches it is (outputs / 8, inputs, 8), and ``tiles`` has the same weights for a processor
+    with tiles, else nothing (``drape.network.tiled``). For a body it is (outputs / 16, inputs, 16), so that memory is
+    read from end to end, without ``tiles``.
     """
 
     weight: np.ndarray
@@ -32,14 +32,14 @@ class Layer(Recorded):
 
 
 def layer(weight: np.ndarray, bias: np.ndarray, slope: float = 1.0, *, tiles: bool = True) -> Layer:
-    """The layer of patches of ``weight`` (outputs, inputs) and ``bias`` (outputs,), in the type of ``weight``: by
-    ``tiles`` where the processor has them."""
+    """Returns the layer for patches with ``weight`` (outputs, inputs) and ``bias`` (outputs,), in the dtype of
+    ``weight``. With ``tiles`` it has tiles if the processor has and the dtype is float32."""
     tiled = tiles and weight.dtype == np.float32 and has_tiles()
     return _layer(weight, bias, slope, OUTPUTS, tiles_of(weight) if tiled else np.empty(0, np.uint32))
 
 
 def body_layer(weight: np.ndarray, bias: np.ndarray | None = None, slope: float = 1.0) -> Layer:
-    """The layer of a body of ``weight`` (outputs, inputs) and ``bias`` (outputs,), none of zeros."""
+    """Returns the layer for a body with ``weight`` (outputs, inputs) and ``bias`` (outputs,), zeros if left out."""
     bias = np.zeros(len(weight), weight.dtype) if bias is None else bias
     return _layer(weight, bias, slope, LANES, np.empty(0, np.uint32))
 
@@ -52,23 +52,25 @@ def _layer(weight: np.ndarray, bias: np.ndarray, slope: float, outputs: int, til
 
 
 class Rows(NamedTuple):
-    """Numbers of patches, ``count`` for each: ``values`` flat, sixteen patches a row, the rows of a block of patches
-    one after the other. A layer reads or writes them from row ``first`` of a block on."""
+    """Numbers of patches as a layer reads or writes them: ``values`` is (blocks, ``count``, 16), flat, with ``count``
+    numbers for each of sixteen patches. The layer begins at the row ``first`` of each block."""
 
     values: np.ndarray
     count: int
     first: int
 
 
-def run_layer(made: Layer, inputs: Rows, outputs: Rows, added: Rows | None = None) -> None:
-    """Applies the layer ``made`` to ``inputs``, adds ``added`` if given, and writes the sums to ``outputs``."""
+def run_layer(dense: Layer, inputs: Rows, outputs: Rows, added: Rows | None = None) -> None:
+    """Writes to ``outputs`` what the layer ``dense`` makes of ``inputs``; ``added``, if given, is added to the sums
+    before the bend."""
     blocks = len(inputs.values) // (LANES * inputs.count)
-    more = (np.empty(0, made.weight.dtype), 0) if added is None else (added.values, added.count)
-    call_with_scratch("layer", made.weight.dtype, made, *inputs, *more, *outputs, blocks)
+    more = (np.empty(0, dense.weight.dtype), 0) if added is None else (added.values, added.count)
+    call_with_scratch("layer", dense.weight.dtype, dense, *inputs, *more, *outputs, blocks)
 
 
 def rows_of(values: np.ndarray) -> np.ndarray:
-    """Returns ``values`` (K, ...) of K patches as rows (blocks, n, 16). The last patch fills up the last block."""
+    """Returns ``values`` (K, ...) of K patches, n numbers each, as rows (blocks, n, 16). The last patch fills up the
+    last block."""
     flat = values.reshape(len(values), -1)
     filled = np.concatenate([flat, np.repeat(flat[-1:], -len(flat) % LANES, axis=0)])
     return np.ascontiguousarray(filled.reshape(-1, LANES, flat.shape[1]).swapaxes(1, 2))

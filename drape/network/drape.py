@@ -19,8 +19,8 @@ from drape.network.weights import Weights
 def checked_jets(
     weights: Weights, rows: PatchRows, body: PosedBody, passes: int, patches: int
 ) -> tuple[PosedJets, bool]:
-    """Returns the jets of K ``patches`` on ``body`` after ``passes`` corrections, and whether all their numbers are
-    finite. Patches that only fill up the last row of ``rows`` are left out."""
+    """Returns the K ``patches`` posed on ``body``, with full jets (K, 45) after ``passes`` corrections, and whether all
+    their numbers are finite."""
     kind = body.skin.dtype
     found = PosedJets(*(np.empty((patches, *shape), kind) for shape in ((jets.FULL_COUNT,), (3, 3), (3,))))
     finite = call_with_scratch("jets", kind, weights, rows, body, passes, found)

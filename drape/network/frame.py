@@ -19,7 +19,7 @@ from drape.engine.card_jobs import TOLD
 from drape.engine.packer import Record
 from drape.graph.blend import Tiles
 from drape.live.fold_constants import LaidCloth
-from drape.live.fold_step import OUTCOME, FoldEffort, FoldReport, no_past, read_outcome, recorded
+from drape.live.fold_step import OUTCOME, FoldEffort, FoldReport, effort_record, no_past, read_outcome
 from drape.live.swing_step import NO_PAST, SwingConstants, SwingMemory, empty_memory
 from drape.live.two_level import Memory, OneLevel, TwoLevel
 from drape.network.bodies import BodyFeed
@@ -29,13 +29,15 @@ from drape.network.weights import Weights
 
 PARTS = ("novelty", "network", "swing", "folds", "encode")
 MOST_LAYERS = 8  # garments that the engine draws in one call
-_BOX = OUTCOME + 1 + len(PARTS)  # after what folds tell come the novelty and the ticks of the parts
+_BOX = OUTCOME + 1 + len(PARTS)  # after the outcome of folds come the novelty and the ticks of the parts
 _FLOAT = np.dtype(np.float32)
 _NO_STEPS = np.empty((0, 3), np.uint16)
 
 
 class FrameParts(NamedTuple):
-    """The record that the engine reads of a ``FrameGarment``."""
+    """The record of a ``FrameGarment`` as the engine reads it: ``cloth`` are the constants of folds on one level,
+    ``levels`` those on two, ``laid`` what garments over and below it read, if they feel each other; the one that it
+    lacks is None."""
 
     weights: Weights
     kept: KeptPoses | None
@@ -54,13 +56,12 @@ class FrameParts(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FrameGarment:
-    """The constants that drape a garment.
+    """The constants by which a garment is draped. A part that is None does not take place.
 
-    They are the network's ``weights`` with the number of its ``passes``, the garment's ``patches`` and ``tiles``, its
-    ``swing`` by a ``share``, and its ``folds`` by ``efforts``, of which the second is for novel poses; ``kept`` are the
-    poses that the network was trained on. A part that is None does not exist. The garment has ``vertex_count``
-    vertices. ``felt``: it and those worn with it feel each other. ``read``: somebody looks at its vertices, so that
-    they lie below what is worn over it.
+    They are the network's ``weights`` and the number of its ``passes``, the garment's ``patches`` and ``tiles``, the
+    poses ``kept`` of training, ``swing`` by a ``share`` of 0 to 1, and ``folds`` by ``efforts``, of which the second is
+    for novel poses. ``felt``: the garments of the outfit feel each other. ``read``: the garment is shown, so it is
+    pressed below what is worn over it.
     """
 
     weights: Weights
@@ -78,17 +79,17 @@ class FrameGarment:
 
     @cached_property
     def record(self) -> Record:
-        """The record that the engine reads of it."""
+        """The garment as the record that the engine reads."""
         folds = self.folds
         return frame_parts(self, folds.constants if isinstance(folds, OneLevel) else folds.levels if folds else None)
 
 
 @dataclass(frozen=True, eq=False)
 class FrameOutfit:
-    """The ``garments`` that a stream wears, the innermost first, and whether each is ``seen``. The coordinates of those
-    that are get steps from 0 to ``step_count``; 0: they get none.
+    """The ``garments`` that a stream wears, the innermost first, and whether each is ``seen``.
 
-    The vertices of all are one array: first those of the garments that are seen, and behind them those of others.
+    The vertices of all are one array: first those of the garments that are seen, then those of others. The coordinates
+    of the first are also written as steps from 0 to ``step_count``; 0: there are none.
     """
 
     garments: tuple[FrameGarment, ...]
@@ -97,26 +98,26 @@ class FrameOutfit:
 
     @cached_property
     def rows(self) -> tuple[slice, ...]:
-        """The rows of each garment among all vertices."""
-        begin, found = 0, dict[int, slice]()
+        """The rows of each garment in the array of all vertices."""
+        begin, slices = 0, dict[int, slice]()
         for i in sorted(range(len(self.seen)), key=lambda i: not self.seen[i]):
-            found[i] = slice(begin, begin + self.garments[i].vertex_count)
-            begin = found[i].stop
-        return tuple(found[i] for i in range(len(self.seen)))
+            slices[i] = slice(begin, begin + self.garments[i].vertex_count)
+            begin = slices[i].stop
+        return tuple(slices[i] for i in range(len(self.seen)))
 
     @cached_property
     def vertex_count(self) -> int:
-        """The vertices of all garments."""
+        """The number of vertices of all garments."""
         return max(rows.stop for rows in self.rows)
 
     @cached_property
     def shown_count(self) -> int:
-        """The vertices of the garments that are seen."""
+        """The number of vertices of the garments that are seen."""
         return max((rows.stop for rows, seen in zip(self.rows, self.seen, strict=True) if seen), default=0)
 
     @property
     def effort(self) -> FoldEffort:
-        """The effort of a frame whose pose is like training, the same for all garments."""
+        """The effort of folds in a frame whose pose is not novel, the same for all garments."""
         return self.garments[0].efforts[0]
 
     @property
@@ -126,16 +127,17 @@ class FrameOutfit:
 
 
 def identity(constants: FrameGarment | FrameOutfit) -> tuple[Any, ...]:
-    """Returns what two such constants have in common that draw the same."""
-    given = (getattr(constants, field.name) for field in fields(constants))
-    return tuple(each if isinstance(each, int | float | tuple) else id(each) for each in given)
+    """Returns a key for dictionaries. It is equal for two constants that have the same numbers and the same objects as
+    parts, so that they draw the same."""
+    values = (getattr(constants, field.name) for field in fields(constants))
+    return tuple(value if isinstance(value, int | float | tuple) else id(value) for value in values)
 
 
 def frame_parts(worn: FrameGarment, cloth: Any) -> Record:
-    """Returns the record that the engine reads of ``worn``, with the constants of folds ``cloth``, or their record."""
+    """Returns the record of ``worn`` that the engine reads. ``cloth`` are its constants of folds, or their record."""
     one_level = isinstance(worn.folds, OneLevel)
-    effort, novel_effort = map(recorded, worn.efforts)
-    given = FrameParts(
+    effort, novel_effort = map(effort_record, worn.efforts)
+    parts = FrameParts(
         worn.weights,
         worn.kept,
         worn.patches,
@@ -150,20 +152,21 @@ def frame_parts(worn: FrameGarment, cloth: Any) -> Record:
         worn.share,
         worn.read,
     )
-    return Record("FrameParts", given, _FLOAT)
+    return Record("FrameParts", parts, _FLOAT)
 
 
 class Past(NamedTuple):
-    """The memories of swing and of folds that a frame leaves to the next one. None: the garment has no such part, or
-    there was no frame before."""
+    """The memories of swing and of folds that a garment's frame leaves to the next one. None: the garment has no such
+    part, or there was no frame before."""
 
     swung: SwingMemory | None
     folded: Memory | None
 
 
 class Moment(NamedTuple):
-    """A ``pose`` (24, 3) [rad] of a ``body`` at ``time_s``, whose ``origin`` [m] (3,) is that of the coordinates in the
-    world, and the ``colliders`` (M, 16) seen from there, float64. ``body`` is without a pose."""
+    """A frame's pose and what surrounds it: the ``pose`` (24, 3) [rad] of a ``body`` (a feed without a pose) at
+    ``time_s`` [s]. Coordinates count from ``origin`` [m] (3,) in the world, those of the ``colliders`` (M, 16) float64
+    too."""
 
     body: BodyFeed
     pose: np.ndarray
@@ -172,12 +175,13 @@ class Moment(NamedTuple):
     colliders: np.ndarray
 
 
-class Drawn(NamedTuple):
-    """A frame that the engine has computed: of each garment the memories ``pasts`` that it leaves and the ``reports``
-    of its folds; the ``novelty`` of its pose (0 where no poses are kept), and the ``low`` corner and the ``step`` size
-    (3,) of its coordinates.
+class FrameResult(NamedTuple):
+    """The result of a frame. By garment: the memories ``pasts`` that it leaves, and the ``reports`` of its folds, None
+    without folds.
 
-    ``ticks``: the processor's ticks that each of ``PARTS`` took.
+    ``novelty`` is that of the pose, 0 where no poses are kept. ``low`` [m] (3,) is the low corner of the coordinates
+    and ``step`` [m] (3,) the size of one of their steps. ``ticks`` are those of the processor's clock in each of
+    ``PARTS``.
     """
 
     pasts: tuple[Past, ...]
@@ -189,7 +193,11 @@ class Drawn(NamedTuple):
 
 
 class LayerCall(NamedTuple):
-    """The record that the engine reads of a garment in a frame, with the addresses at which it writes."""
+    """The record of one garment in a frame as the engine reads it: its constants ``parts``, whether its folds are those
+    of ``lift_alone``, and its memories of swing and folds before the frame.
+
+    The engine writes the memories ``swung`` and ``folded`` after the frame, and the ``vertices`` [m] (V, 3).
+    """
 
     parts: Record
     lifts: bool
@@ -201,7 +209,12 @@ class LayerCall(NamedTuple):
 
 
 class FrameCall(NamedTuple):
-    """The record that the engine reads of a frame. It writes ``steps`` of the vertices ``shown``."""
+    """The record of a frame as the engine reads it: its garments, the body with the rotation vectors ``turns`` [rad]
+    (24, 3) of the pose, and the ``colliders`` (M, 16).
+
+    The engine writes to ``steps`` (V', 3) uint16, 0 to ``step_count``, the coordinates of the vertices ``shown`` (V',
+    3).
+    """
 
     layers: Sequence[LayerCall]
     body: BodyFeed
@@ -214,13 +227,14 @@ class FrameCall(NamedTuple):
 
 def draw(
     outfit: FrameOutfit, pasts: Sequence[Past], at: Moment, vertices: np.ndarray, steps: np.ndarray = _NO_STEPS
-) -> Drawn | None:
-    """Computes the frame ``at`` a moment and returns it; None if the network's numbers are not finite.
+) -> FrameResult | None:
+    """Returns the result of the frame ``at`` a moment; None if the network's numbers are not finite.
 
-    ``vertices`` [m] (V, 3) of all garments are written, and ``steps`` (V', 3) of those that are seen, if given. The
-    ``pasts`` of the garments are not written to. No garment may be one that ``begins`` to fold after the lift alone.
+    ``vertices`` [m] (V, 3) of all garments are written, relative to the moment's origin, and ``steps`` (V', 3) uint16
+    of those that are seen, if given. ``pasts``, one for each garment, are only read. A garment for which
+    ``TwoLevel.begins`` is true cannot be drawn so.
     """
-    told, made = np.zeros((len(pasts), TOLD), np.int64), list[tuple[SwingMemory | None, Any]]()
+    results, calls = np.zeros((len(pasts), TOLD), np.int64), list[tuple[SwingMemory | None, Any]]()
     layers = []
     for worn, past, rows in zip(outfit.garments, pasts, outfit.rows, strict=True):
         swung = before = folding = None
@@ -229,29 +243,27 @@ def draw(
         if worn.folds is not None:
             folding = worn.folds.call(past.folded, at.time_s, outfit.effort)
         none, lifts = no_past(_FLOAT), folding is not None and folding.name == "lift_alone"
-        read, left = (none, none) if folding is None else (folding.past, folding.after)
-        layers.append(LayerCall(worn.record, lifts, before, swung, read, left, vertices[rows]))
-        made.append((swung, folding))
+        read, after = (none, none) if folding is None else (folding.past, folding.after)
+        layers.append(LayerCall(worn.record, lifts, before, swung, read, after, vertices[rows]))
+        calls.append((swung, folding))
     shown = vertices[: outfit.shown_count]
     call = FrameCall(layers, at.body, at.pose, at.colliders, shown, steps, outfit.step_count)
-    if not call_with_scratch("frame", _FLOAT, Record("FrameCall", call, _FLOAT), told):
+    if not call_with_scratch("frame", _FLOAT, Record("FrameCall", call, _FLOAT), results):
         return None
-    left, reports = list[Past](), list[FoldReport | None]()
-    for (swung, folding), own in zip(made, told, strict=True):
+    after_all, reports = list[Past](), list[FoldReport | None]()
+    for (swung, folding), own in zip(calls, results, strict=True):
         turn, _, report = read_outcome(own[:OUTCOME])
-        left.append(Past(swung, folding and folding.remembered(turn)))
+        after_all.append(Past(swung, folding and folding.remembered(turn)))
         reports.append(folding and report)
-    novelty, ticks, low, step = read_told(told[None])
-    return Drawn(tuple(left), tuple(reports), novelty[0], low[0], step[0], ticks[0])
+    novelty, ticks, low, step = read_results(results[None])
+    return FrameResult(tuple(after_all), tuple(reports), novelty[0], low[0], step[0], ticks[0])
 
 
-def read_told(told: np.ndarray) -> tuple[list[float], list[list[int]], np.ndarray, np.ndarray]:
-    """Reads what F frames of L garments tell, ``told`` (F, L, TOLD) int64.
-
-    Returns by frame: the novelty of its pose; how long each of ``PARTS`` took, in ticks of the processor's clock; the
-    low corner [m] (F, 3) of its coordinates, and their steps [m] (F, 3).
-    """
-    first = told[:, 0]
+def read_results(results: np.ndarray) -> tuple[list[float], list[list[int]], np.ndarray, np.ndarray]:
+    """Reads the ``results`` (F, L, TOLD) int64 that the engine writes for the L garments of F frames. Returns by frame
+    the novelty of the pose; the ticks of the processor's clock that each of ``PARTS`` took; the low corner [m] (F, 3)
+    of the coordinates; and the size [m] (F, 3) of their steps."""
+    first = results[:, 0]
     boxes = first[:, _BOX:-1].copy().view(_FLOAT)
     novelty, ticks = first.view(np.float64)[:, OUTCOME], first[:, OUTCOME + 1 : _BOX]
     return novelty.tolist(), ticks.tolist(), boxes[:, :3], boxes[:, 3:]

@@ -18,9 +18,12 @@ from drape.network.weights import body_layers, parameter_layers
 
 @dataclass(frozen=True, eq=False)
 class MotionEncoder(Recorded):
-    """The weights of the encoder: the ``scale`` (24, m) of motion features, layers of a ``joint`` and of the ``body``,
-    the cell's from its ``input`` and its ``state``, and what gives a code, ``out``. The state's size falls as
-    exp(-t / ``decay_s``), less an ``offset``."""
+    """The weights of the recurrent motion encoder.
+
+    Motion features times ``scale`` (24, m) pass the layers ``joint`` of every joint and the layers ``body``. The cell
+    has the layers ``input`` and ``state``, and ``out`` makes the code of its state. In t [s] the state's root mean
+    square r shrinks to max((r + ``offset``) exp(-t / ``decay_s``) - ``offset``, 0).
+    """
 
     scale: np.ndarray
     joint: tuple[Layer, ...]
@@ -33,7 +36,8 @@ class MotionEncoder(Recorded):
 
 
 def motion_encoder(parameters: Mapping[str, np.ndarray], network: Mapping[str, Any]) -> MotionEncoder:
-    """The encoder of ``parameters`` by their names in training; ``network`` is the manifest's description."""
+    """Returns the weights of the motion encoder of ``parameters``, which have their names in training. ``network`` is
+    the manifest's description of the network."""
     decay_s = float(network["state_decay_s"])
     return MotionEncoder(
         parameters["dynamic.scale.inverse"],
@@ -50,8 +54,9 @@ def motion_encoder(parameters: Mapping[str, np.ndarray], network: Mapping[str, A
 def advance_encoder(
     encoder: MotionEncoder, features: np.ndarray, state: np.ndarray, dt_s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Codes (N, outputs) and next states (N, H) of N bodies with motion ``features`` (N, 24, m) and ``state`` (N, H)
-    after steps ``dt_s`` (N,) [s]. Codes are filled up to a multiple of sixteen outputs."""
+    """Returns the motion codes (N, outputs) and next states (N, H) of N bodies. ``features`` (N, 24, m) are their
+    motion, ``state`` (N, H) their states ``dt_s`` [s] (N,) before. The number of outputs is a multiple of sixteen, the
+    rest zeros."""
     code, after = np.empty((len(state), len(encoder.out.bias)), state.dtype), np.empty_like(state)
     call_with_scratch("advance", state.dtype, encoder, features, state, dt_s, len(state), code, after)
     return code, after

@@ -15,11 +15,11 @@ from drape.network.dense import Layer, body_layer
 
 @dataclass(frozen=True, eq=False)
 class KeptPoses(Recorded):
-    """A ``PoseSupport`` as the engine reads it.
+    """The poses that the network was trained on, as the engine measures distances to them (``PoseSupport``).
 
-    For each part ``parts`` has a layer that gives |k|^2 - 2 k.x for each kept pose k, and ``counts`` how many poses are
-    kept. ``entry`` says which entry of a pose's matrices each input of the layers is, and ``over`` is what the square
-    of a distance is divided by.
+    For each part of the body ``parts`` has a layer that gives |k|^2 - 2 k.x for each kept pose k, and ``counts`` the
+    number of poses. ``entry`` is the entry of a pose's rotation matrices that each input of the layers is; squares of
+    distances are divided by ``over``, one for each part.
     """
 
     parts: tuple[Layer, ...]
@@ -29,7 +29,7 @@ class KeptPoses(Recorded):
 
 
 def kept_poses(support: PoseSupport) -> KeptPoses:
-    """The poses of ``support`` as the engine reads them."""
+    """Returns the poses of ``support`` as the engine reads them."""
     return KeptPoses(
         tuple(body_layer(-2.0 * columns.T, squares) for columns, squares in support.columns),
         np.array([len(squares) for _, squares in support.columns], np.int32),
@@ -39,7 +39,8 @@ def kept_poses(support: PoseSupport) -> KeptPoses:
 
 
 def novelty(kept: KeptPoses, poses: np.ndarray) -> np.ndarray:
-    """Returns how unlike training each of ``poses`` (F, 24, 3) [rad] is, (F,): above 1 it is farther than it may be."""
+    """Returns how unlike the poses of training each of ``poses`` (F, 24, 3) [rad] is, (F,) float32: above 1 it is
+    novel."""
     matrices, found = joint_rotations(poses)[1].astype(np.float32), np.empty(len(poses), np.float32)
     call_with_scratch("novelty", np.float32, kept, matrices, len(poses), found)
     return found

@@ -21,14 +21,17 @@ from drape.network.dense import rows_of
 
 @dataclass(frozen=True, eq=False)
 class PatchRows(Recorded):
-    """The rows of the patches of a garment.
+    """The constants of a garment's K patches as the engine reads them. Each array is (blocks, n, 16), flat: sixteen
+    patches a block, the last one filled up with the last patch. In brackets stand the n numbers of one patch.
 
-    ``first`` (its half of the first layer), ``weights`` (24) of the bones and the ``heaviest`` one, the frame at rest
-    (``rotation`` 9, ``centre`` 3 [m], ``scale`` [m], and ``slopes`` 3 x 10 of the centre by the body's shape);
-    ``columns`` (56, 9) and ``fit`` (56, 21) of the members, ``rest`` (63) of the fit; ``anchor`` (A, 4), the members
-    that say where an anchor is, and ``member`` (56), the anchor of each; ``tangent`` (42) and ``unit`` (42), products
-    of unit vectors, of the strain; ``place`` (21) where the body is felt, ``sample`` (40) of its own part and their
-    ``bias``, the bias of each ``region`` of other parts and how much its samples are ``other`` parts, in 15ths.
+    ``first`` (n) is the summand of the decoder's first layer that depends on the patch alone. ``weights`` (24) are its
+    skinning weights and ``heaviest`` the bone of the largest; ``rotation`` (9), ``centre`` (3) [m] and ``scale`` [m]
+    are its frame at rest, ``slopes`` (3 x 10) [m] those of the centre by the body's shape. ``columns`` (56 x 9),
+    ``fit`` (56 x 21), ``rest`` (63) and ``tangent`` (42) are those of ``StoredCharts``, ``unit`` (42) the products of
+    its ``unit``; ``member`` (56) are its anchors. ``anchor``, not of patches but (A, 4), are the columns of each
+    anchor. ``place`` (21) are the points that feel the body, ``sample`` (40) and ``bias`` (40) the skin samples of its
+    own part and their logits. ``region`` has the logit of each region of other parts, ``other`` how much each sample
+    belongs to another part, in 15ths.
     """
 
     first: np.ndarray
@@ -53,7 +56,8 @@ class PatchRows(Recorded):
 
 
 def patch_rows(garment: PackedGarment, first: np.ndarray) -> PatchRows:
-    """The rows of ``garment``, whose half of the first layer is ``first`` (K, n)."""
+    """Returns the constants of the patches of ``garment`` as the engine reads them. ``first`` (K, n) is the summand of
+    the decoder's first layer that depends on the patch alone."""
     stored, count = garment.stored, garment.patch_count
     block, lane = np.divmod(np.arange(count), LANES)
     # Where a member (patch, number) lies among all of them: block, number, lane.

@@ -7,14 +7,16 @@ import numpy as np
 
 from drape.engine.library import LANES
 
-INPUTS = 32  # of a tile
-GROUP = 2 * LANES  # outputs that are summed at once, of two blocks of patches
+INPUTS = 32  # inputs of a tile
+GROUP = 2 * LANES  # outputs that are summed at once for two blocks of patches
 _LINE = 16  # numbers of 32 bits in a line of the cache
 
 
 def tiles_of(weight: np.ndarray) -> np.ndarray:
-    """Returns ``weight`` (outputs, inputs) as tiles, flat uint32: of each ``GROUP`` of outputs and ``INPUTS``, both
-    filled up with zeros, two tiles of what halves lack and two of the halves.
+    """Returns ``weight`` (outputs, inputs) as tiles, flat uint32, each number split in two of 16 bits (``split``).
+
+    Each ``GROUP`` of outputs and ``INPUTS``, filled up with zeros, has four tiles: two of the remainders, then two of
+    the leading numbers.
     """
     missing = [(0, -size % whole) for size, whole in zip(weight.shape, (GROUP, INPUTS), strict=True)]
     groups = np.pad(weight, missing).astype(np.float32)
@@ -24,10 +26,10 @@ def tiles_of(weight: np.ndarray) -> np.ndarray:
 
 
 def split(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Splits ``values`` (..., 2 n) float32 into two numbers of 16 bits each: the nearest one, and the nearest to what
-    it lacks.
+    """Returns ``values`` (..., 2 n) float32 as sums of two numbers of 16 bits (bfloat16): the nearest one, and the one
+    nearest to the remainder.
 
-    Returns both as uint32 (..., n); the lower half of each holds the first of two numbers.
+    Both are uint32 (..., n), two numbers in each; the first is in the lower half.
     """
     high = _upper(values)
     low = _upper(values - high.view(np.float32))
@@ -36,7 +38,7 @@ def split(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _upper(values: np.ndarray) -> np.ndarray:
     bits = np.ascontiguousarray(values, np.float32).view(np.uint32)
-    return (bits + (0x7FFF + ((bits >> 16) & 1))) & np.uint32(0xFFFF0000)  # to the nearest, of two the even one
+    return (bits + (0x7FFF + ((bits >> 16) & 1))) & np.uint32(0xFFFF0000)  # rounded to the nearest, ties to even
 
 
 def _pairs(upper: np.ndarray) -> np.ndarray:

@@ -18,11 +18,13 @@ from drape.network.dense import Layer, body_layer, layer
 
 @dataclass(frozen=True, eq=False)
 class Weights(Recorded):
-    """The weights: of the body's features, of its code (``body``, then ``from_body``), of the surroundings of a patch,
-    of the trunk and the heads, and the two layers of each correction.
+    """The weights of the network.
 
-    And constants: the jets' ``basis`` (7, 15) at the points that are felt, with its derivatives, and the ``logs`` (16,)
-    of how much a sample is another part.
+    ``mean`` and ``inverse_deviation`` standardise the body's features. ``body`` and then ``from_body`` make the summand
+    of the decoder's first layer that depends on the body alone, ``surroundings`` that of a patch's surroundings.
+    ``trunk`` and ``heads`` decode the sum. ``first`` and ``second`` are the two layers of each correction. ``basis``
+    (7, 15) are the jets' monomials at the strain points, ``basis_u`` and ``basis_v`` their derivatives; ``logs`` (16,)
+    are the logits of a sample by how much it belongs to another part, in 15ths.
     """
 
     mean: np.ndarray
@@ -41,12 +43,14 @@ class Weights(Recorded):
 
 
 def weights_of(parameters: Mapping[str, np.ndarray], output_gain: float) -> Weights:
-    """The weights of ``parameters`` by their names in training; ``output_gain`` is the factor of jets."""
+    """Returns the weights of ``parameters``, which have their names in training; jets are multiplied by
+    ``output_gain``."""
     decoder = "decoder."
     nothing = np.zeros(len(parameters[decoder + "from_surroundings.weight"]), np.float32)
     heads = [parameter_layers(parameters, f"{decoder}heads.{name}.") for name in ("plane", "height")]
+    joint_heads = [_beside(*pair, shared=depth == 0) for depth, pair in enumerate(zip(*heads, strict=True))]
     count = len({name.split(".")[1] for name in parameters if name.startswith("corrections.")})
-    pairs = [_made(parameter_layers(parameters, f"corrections.{i}."), output_gain) for i in range(count)]
+    pairs = [_jet_layers(parameter_layers(parameters, f"corrections.{i}."), output_gain) for i in range(count)]
     points, order = strain_points(), jets.HEIGHT_ORDER
     along = [jets.basis_derivative(points, order, **times) for times in ({"u_times": 1}, {"v_times": 1})]
     logs = np.log(np.arange(OTHER_STEPS + 1) / OTHER_STEPS + OTHER_LEAST)
@@ -56,17 +60,17 @@ def weights_of(parameters: Mapping[str, np.ndarray], output_gain: float) -> Weig
         body_layers(parameter_layers(parameters, "body.layers.")),
         body_layer(parameters[decoder + "from_body.weight"]),
         layer(parameters[decoder + "from_surroundings.weight"], nothing, SLOPE),
-        tuple(layer(*each, SLOPE) for each in parameter_layers(parameters, decoder + "trunk.")),
-        _made([_beside(*each, shared=depth == 0) for depth, each in enumerate(zip(*heads, strict=True))], output_gain),
+        tuple(layer(*pair, SLOPE) for pair in parameter_layers(parameters, decoder + "trunk.")),
+        _jet_layers(joint_heads, output_gain),
         tuple(first for first, _ in pairs),
         tuple(second for _, second in pairs),
-        *(np.ascontiguousarray(each, np.float32) for each in (jets.basis(points, order), *along, logs)),
+        *(np.ascontiguousarray(table, np.float32) for table in (jets.basis(points, order), *along, logs)),
     )
 
 
 def parameter_layers(parameters: Mapping[str, np.ndarray], start: str) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Returns weights and biases of the layers whose names in ``parameters`` begin with ``start``, in order; zeros for
-    a layer without biases."""
+    """Returns weight and bias of each layer whose name in ``parameters`` begins with ``start``, in order. A layer
+    without a bias has zeros."""
     numbers = sorted({int(name[len(start) :].split(".")[0]) for name in parameters if name.startswith(start)})
     weights = [(number, parameters[f"{start}{number}.weight"]) for number in numbers]
     return [
@@ -76,22 +80,23 @@ def parameter_layers(parameters: Mapping[str, np.ndarray], start: str) -> list[t
 
 
 def body_layers(layers: list[tuple[np.ndarray, np.ndarray]], *, last: float = 1.0) -> tuple[Layer, ...]:
-    """The ``layers`` of a body, between which numbers are bent; ``last`` is the slope of what the last one gives."""
+    """Returns the layers of a body with these weights and biases. All bend by ``SLOPE``, but the last one by
+    ``last``."""
     count = len(layers)
-    return tuple(body_layer(*each, SLOPE if i + 1 < count else last) for i, each in enumerate(layers))
+    return tuple(body_layer(*pair, SLOPE if i + 1 < count else last) for i, pair in enumerate(layers))
 
 
-def _made(layers: list[tuple[np.ndarray, np.ndarray]], gain: float) -> tuple[Layer, ...]:
+def _jet_layers(layers: list[tuple[np.ndarray, np.ndarray]], gain: float) -> tuple[Layer, ...]:
     """Layers of which the last gives jets, times ``gain``."""
     *first, (weight, bias) = layers
-    return (*(layer(*each, SLOPE) for each in first), layer(np.float32(gain) * weight, np.float32(gain) * bias))
+    return (*(layer(*pair, SLOPE) for pair in first), layer(np.float32(gain) * weight, np.float32(gain) * bias))
 
 
 def _beside(
-    one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray], *, shared: bool
+    first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray], *, shared: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """One layer with the outputs of both, which read the same input if it is ``shared``, else one each."""
-    (a, b), bias = (one[0], other[0]), np.concatenate([one[1], other[1]])
+    (a, b), bias = (first[0], second[0]), np.concatenate([first[1], second[1]])
     if shared:
         return np.concatenate([a, b]), bias
     weight = np.zeros((len(a) + len(b), a.shape[1] + b.shape[1]), a.dtype)

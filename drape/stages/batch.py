@@ -10,7 +10,7 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.errors import BodyError, MotionError, TooLarge
-from drape.network.card_memory import fetched
+from drape.network.card_memory import to_processor
 from drape.stages.placing import Origin, Placed
 from drape.stages.plan import Plan
 
@@ -235,7 +235,7 @@ class Batch:
 
     def remembered(self, key: tuple[str, str]) -> list[Any]:
         """The memory of each input under ``key``, from a card if it is there; None for an input that has none."""
-        return [fetched(memories.get(key)) for memories in self.memories]
+        return [to_processor(memories.get(key)) for memories in self.memories]
 
     def remember(self, key: tuple[str, str], values: Sequence[Any]) -> Batch:
         """The batch with ``values``, one for each input, stored in the memories under ``key``."""

@@ -17,11 +17,11 @@ from drape.garment.cache import Garment
 from drape.garment.wrapping import Wrapping
 from drape.geometry.colliders import seen_from
 from drape.live import two_level
-from drape.live.ceiling import ceiling_over, lower, pressed
+from drape.live.ceiling import ceiling_over, lower, press
 from drape.live.clock import Frame
 from drape.live.fold_constants import LaidCloth
 from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport
-from drape.live.raised_skin import heights_over, raised
+from drape.live.raised_skin import heights_over, raise_skin
 from drape.live.skin_walks import TouchedSamples
 from drape.live.two_level import LiftMemory, Memory, OneLevel, TwoLevel, TwoLevelMemory
 from drape.stages.batch import Batch, Layer, Quality, changed, stacked
@@ -119,7 +119,7 @@ class Folds(ClothStage[Constants]):
             batch = batch.remember((self.name, key), memories)
             if ceiling is not None:
                 layers[i] = lain[i].below(layers[i], ceiling)
-                ground = raised(ground, lain[i].heights(layers[i]))
+                ground = raise_skin(ground, lain[i].heights(layers[i]))
             if i < len(layers) - 1:
                 yield changed(batch, layers=tuple(layers), quality=told.quality(batch.quality))
         folded, read = changed(batch, layers=tuple(layers)), read_layers(plan)
@@ -240,7 +240,7 @@ class _FoldedLayer:
         """``layer``, pressed below the ``ceiling`` (F, S, 5)."""
         assert layer.vertices is not None
         each = zip(layer.vertices, self.own, self.ground, ceiling, strict=True)
-        return changed(layer, vertices=np.stack([pressed(one, self.made, *row) for one, *row in each]))
+        return changed(layer, vertices=np.stack([press(one, self.made, *row) for one, *row in each]))
 
     def heights(self, layer: Layer) -> np.ndarray:
         """How high [m] (F, S) over the ground ``layer`` lies."""

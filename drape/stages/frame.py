@@ -17,8 +17,8 @@ from drape.geometry.colliders import seen_from
 from drape.inference.packing import check_finite
 from drape.live.fold_step import FoldEffort
 from drape.network.card_frame import draw_by_card
-from drape.network.card_memory import fetched, name_of
-from drape.network.frame import MOST_LAYERS, PARTS, Drawn, FrameGarment, FrameOutfit, Moment, Past, draw, identity
+from drape.network.card_memory import name_of, to_processor
+from drape.network.frame import MOST_LAYERS, PARTS, FrameGarment, FrameOutfit, FrameResult, Moment, Past, draw, identity
 from drape.stages.batch import Batch, Layer, changed
 from drape.stages.encode import Encode, coordinate_bits
 from drape.stages.folds import FoldFigures, Folds, feel_each_other, read_layers
@@ -100,7 +100,7 @@ def drawn(
 
 def _here(past: Past) -> Past:
     """What a processor goes on from, from a card if it is there."""
-    return Past(*map(fetched, past))
+    return Past(*map(to_processor, past))
 
 
 def _lifted(past: Past) -> bool:
@@ -165,7 +165,7 @@ def _drawn(
     lane: Lanes | None,
     took: Callable[[str, float], None],
 ) -> Iterator[Batch]:
-    spent_s, root, frames = [0.0] * len(PARTS), np.empty((batch.count, 3)), list[Drawn]()
+    spent_s, root, frames = [0.0] * len(PARTS), np.empty((batch.count, 3)), list[FrameResult]()
     moments = list(_moments(batch, stages, root))
     begun_s = time.perf_counter()
     if lane is not None:
@@ -208,13 +208,13 @@ def _moments(batch: Batch, stages: AtOnce, root: np.ndarray) -> Iterator[list[Mo
         ]
 
 
-def _checked(stages: AtOnce, made: Drawn | None) -> Drawn:
+def _checked(stages: AtOnce, made: FrameResult | None) -> FrameResult:
     check_finite(stages.network.engine, made is not None)
     assert made is not None
     return made
 
 
-def _shares(frames: Sequence[Drawn], took_s: float) -> list[float]:
+def _shares(frames: Sequence[FrameResult], took_s: float) -> list[float]:
     """The time that each of ``PARTS`` had of what frames took."""
     ticks = [sum(own) for own in zip(*(made.ticks for made in frames), strict=True)]
     tick_s = took_s / max(sum(ticks), 1)
@@ -222,7 +222,7 @@ def _shares(frames: Sequence[Drawn], took_s: float) -> list[float]:
 
 
 def _told(
-    batch: Batch, stages: AtOnce, outfit: FrameOutfit, frames: list[Drawn], pasts: list[tuple[Past, ...]]
+    batch: Batch, stages: AtOnce, outfit: FrameOutfit, frames: list[FrameResult], pasts: list[tuple[Past, ...]]
 ) -> Batch:
     """``batch`` with what its ``frames`` leave and tell, wrapped around finer cloth where that was draped."""
     plan, quality, layers, told = batch.plan, batch.quality, list(batch.layers), FoldFigures(len(frames))

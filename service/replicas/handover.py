@@ -22,7 +22,7 @@ import numpy as np
 
 from drape import __version__
 from drape.errors import DrapeError, InputError, TooLarge
-from drape.network.card_memory import fetched
+from drape.network.card_memory import to_processor
 from drape.wire.state_pieces import PIECE_BYTES, join_state, split_state
 from service.errors import Busy, Draining, TooSlow, Unauthorized, close_reason, rule_for
 from service.guard.limits import HELD_BYTES
@@ -73,7 +73,7 @@ class Handover:
         head |= {"expires_s": (time.time() if now_s is None else now_s) + LIFE_S}
         head |= {"dropped": session.dropped, "tier": tier}
         text = json.dumps(head).encode()
-        kept = tuple((*key, fetched(memory)) for key, memory in session.memories.items())
+        kept = tuple((*key, to_processor(memory)) for key, memory in session.memories.items())
         raw = _LENGTH.pack(len(text)) + text + encode_value(kept, self._classes, _plans(session.plan, session.steps))
         whole = self._tickets.sign(raw) + raw
         return whole if len(whole) <= STATE_BYTES else b""

@@ -19,7 +19,7 @@ from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
-from drape.cloth.rest_state import modelled
+from drape.cloth.rest_state import modelled_rest
 from drape.exact.blended_planes import blended_distance
 from tests.benchmarks.quality_setup import bench, body, tube
 from training.disagreement import disagreement
@@ -63,7 +63,7 @@ def test_figures_are_those_of_the_drapes(measured):
     assert_allclose(rows["skinning"]["edge_pct"], edge, rtol=1e-9, atol=0.0)
     assert rows["skinning"]["self_intersections"] == intersection_count(skinned, faces).mean()
     assert rows["skinning"]["self_intersections_rest"] == 0.0
-    state = modelled(rest, faces)
+    state = modelled_rest(rest, faces)
     assert rows["skinning"]["detail_mm"] == LowPass.of(state, faces, len(rest)).detail_mm(skinned).mean()
     assert rows["skinning"]["dihedral_deg"] == dihedral_deg(skinned, faces).mean()
     assert rows["skinning"]["hang_mm"] == 0.0

@@ -15,7 +15,7 @@ from drape.cloth import bending, energies, membrane
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.cloth.material import Material, OrthotropicMaterial, material
-from drape.cloth.rest_state import dihedral_angles, flat
+from drape.cloth.rest_state import dihedral_angles, flat_rest
 from drape.errors import InputError, MeshError
 from recovery.sim.cloth_model import (
     ClothModel,
@@ -102,7 +102,7 @@ def test_the_simulator_has_the_energy_of_the_network(rng):
     flat_nodes = lifted(panel)
     cloth = replace(Material.of(WARPED), bending_2_j=0.0, bending_4_j=0.0)  # the simulator's bends alike all around
     grain = np.broadcast_to([0.0, 0.0, -1.0], (len(faces), 3))
-    mesh, model = ClothMesh.of(flat(flat_nodes, faces, grain), faces, len(panel)), ClothModel(faces)
+    mesh, model = ClothMesh.of(flat_rest(flat_nodes, faces, grain), faces, len(panel)), ClothModel(faces)
     x = flat_nodes + 4e-3 * rng.normal(size=flat_nodes.shape)
     parameters = model.parameters(panel, cloth.woven)
     found = elastic_energy(model, model.rest(parameters.panels), parameters, torch.from_numpy(x))

@@ -16,7 +16,7 @@ from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material, material
-from drape.cloth.rest_state import flat
+from drape.cloth.rest_state import flat_rest
 from drape.cloth.waistband import SLACK_M, STIFFNESS_N_M2
 from drape.errors import MeshError
 from drape.exact.blended_planes import BlendedPlanes
@@ -70,7 +70,7 @@ def lying(rest: np.ndarray, height_m: float = 0.101) -> np.ndarray:
 def test_a_sheet_on_a_sphere_comes_to_rest_in_the_gap_where_contact_carries_its_weight(sphere, name):
     rest, faces = grid(10, 10, cell_m=0.01)
     made_of = material() if name == "isotropic" else Material.of(fabric(name))
-    cloth = ClothMesh.of(flat(rest, faces), faces, len(rest))
+    cloth = ClothMesh.of(flat_rest(rest, faces), faces, len(rest))
     task = task_of(sphere, cloth, made_of, lying(rest, 0.103))
     optimum = physics.minimise(task)
     assert optimum.converged.all()
@@ -234,7 +234,7 @@ def test_a_start_without_a_finite_energy_is_refused(sphere):
 def test_a_collapsed_triangle_is_laid_out_where_no_step_leads_down(sphere):
     body, contact = sphere
     rest, faces = grid(6, 6, cell_m=0.01)
-    flat_cloth = ClothMesh.of(flat(rest, faces), faces, len(rest))
+    flat_cloth = ClothMesh.of(flat_rest(rest, faces), faces, len(rest))
     start = lying(rest, 0.103)[0]
     start[faces[20, 0]] = 0.5 * (start[faces[20, 1]] + start[faces[20, 2]])
     found = Descent(Cloth.of(flat_cloth, material(), None), contact, body, start)

@@ -14,7 +14,7 @@ from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material, material
-from drape.cloth.rest_state import flat, grain_along, modelled
+from drape.cloth.rest_state import flat_rest, grain_along, modelled_rest
 from drape.exact.linear import Charts
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.geometry.geometry_shapes import icosphere
@@ -83,12 +83,12 @@ def test_the_key_is_the_same_every_time_and_does_not_follow_the_name():
 def test_whatever_the_optimum_depends_on_changes_the_key():
     rest, sheet = grid(4, 4, cell_m=0.01)
     bent = rest + np.array([0.0, 0.0, 1.0]) * (rest[:, :1] > 0.02) * 0.005
-    turned = modelled(rest, sheet, grain_along(rest, sheet, (1.0, 1.0, 0.0)))
+    turned = modelled_rest(rest, sheet, grain_along(rest, sheet, (1.0, 1.0, 0.0)))
     one = task()
     contact = one.contact
     states = {
-        "flat": ClothMesh.of(flat(bent, sheet), sheet, len(rest)),
-        "curved": ClothMesh.of(modelled(bent, sheet), sheet, len(rest)),
+        "flat": ClothMesh.of(flat_rest(bent, sheet), sheet, len(rest)),
+        "curved": ClothMesh.of(modelled_rest(bent, sheet), sheet, len(rest)),
         "grain": ClothMesh.of(turned, sheet, len(rest)),
         "hem": ClothMesh.of(replace(turned, stiffening=2.0 * turned.stiffening), sheet, len(rest)),
     }

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks.measure.cloth_looks import BANDS_M, ClothLooks
-from drape.cloth.rest_state import modelled
+from drape.cloth.rest_state import modelled_rest
 from tests.drape.cloth.cloth_shapes import grid, tube
 from tests.drape.geometry.geometry_shapes import icosphere
 
@@ -16,7 +16,7 @@ AMPLITUDE_M = 0.001
 
 def sheet() -> ClothLooks:
     rest, faces = grid(360, 4, cell_m=0.0025)
-    return ClothLooks(modelled(rest, faces), faces, rest)
+    return ClothLooks(modelled_rest(rest, faces), faces, rest)
 
 
 @pytest.mark.parametrize(("wavelength_m", "band"), [(0.015, 0), (0.04, 1), (0.15, 2)])
@@ -42,7 +42,7 @@ def test_a_sheet_folded_in_two_keeps_its_area_and_has_an_angle():
 def test_a_closed_surface_has_the_curvature_of_gauss_and_bonnet_and_a_folded_sheet_none():
     ball, ball_faces = icosphere(2, radius_m=0.2)
     assert_allclose(
-        ClothLooks(modelled(ball, ball_faces), ball_faces, ball).curvature(ball[None]), 4.0 * np.pi, rtol=1e-9
+        ClothLooks(modelled_rest(ball, ball_faces), ball_faces, ball).curvature(ball[None]), 4.0 * np.pi, rtol=1e-9
     )
     looks = sheet()
     x = looks.place[:, 0] - looks.place[:, 0].mean()
@@ -61,14 +61,14 @@ def test_strain_is_that_of_edges():
 
 def test_a_hem_is_rough_where_its_vertices_alternate():
     rest, faces = tube(64, 20, radius_m=0.2, height_m=0.4)
-    looks = ClothLooks(modelled(rest, faces), faces, rest)
+    looks = ClothLooks(modelled_rest(rest, faces), faces, rest)
     (loop,) = looks.hems
     jagged = rest.copy()
     jagged[loop[::2], 1] += 0.001
     smooth_mm, jagged_mm = looks.hem_mm(np.stack([rest, jagged]))
     assert_allclose(np.sqrt(jagged_mm**2 - smooth_mm**2), 4.0, rtol=1e-6)  # 1, 3, 3, 1 of alternating signs, halved
     closed, closed_faces = icosphere(1, radius_m=0.1)
-    assert np.isnan(ClothLooks(modelled(closed, closed_faces), closed_faces, closed).hem_mm(closed[None])).all()
+    assert np.isnan(ClothLooks(modelled_rest(closed, closed_faces), closed_faces, closed).hem_mm(closed[None])).all()
 
 
 def test_relief_that_goes_along_does_not_pop_and_new_relief_does(rng):

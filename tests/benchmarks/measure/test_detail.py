@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks.measure.detail import WAVELENGTH_M, LowPass, cotangent_matrix, dihedral_deg
-from drape.cloth.rest_state import modelled
+from drape.cloth.rest_state import modelled_rest
 from tests.drape.cloth.cloth_shapes import grid, random_rotation, tube
 
 AMPLITUDE_M = 0.001
@@ -16,7 +16,7 @@ CELL_M = 0.00125
 
 def sheet(width: int, height: int = 8, *, cell_m: float = CELL_M) -> tuple[np.ndarray, LowPass]:
     rest, faces = grid(width, height, cell_m=cell_m)
-    return rest, LowPass.of(modelled(rest, faces), faces, len(rest))
+    return rest, LowPass.of(modelled_rest(rest, faces), faces, len(rest))
 
 
 def wave(rest: np.ndarray, wavelength_m: float) -> np.ndarray:
@@ -40,7 +40,7 @@ def test_the_figure_does_not_follow_the_mesh():
 
 def test_a_cylinder_as_thin_as_a_sleeve_has_none_to_speak_of():
     rest, faces = tube(64, 60, radius_m=0.05, height_m=0.3)
-    low_pass = LowPass.of(modelled(rest, faces), faces, len(rest))
+    low_pass = LowPass.of(modelled_rest(rest, faces), faces, len(rest))
     off_mm = 1e3 * 0.05 * (WAVELENGTH_M / (2.0 * np.pi * 0.05)) ** 4
     assert_allclose(low_pass.detail_mm(rest), off_mm, rtol=0.2, atol=0.0)
     assert low_pass.detail_mm(rest) < 0.05
@@ -70,14 +70,14 @@ def test_frames_are_taken_one_by_one():
 def test_a_vertex_without_a_triangle_stays_where_it_is():
     rest, faces = grid(8, 8)
     alone = np.vstack([rest, [0.5, 0.5, 0.5]])
-    low_pass = LowPass.of(modelled(alone, faces), faces, len(alone))
+    low_pass = LowPass.of(modelled_rest(alone, faces), faces, len(alone))
     assert_allclose(low_pass.smoothed(alone)[-1], 0.5, rtol=1e-12, atol=0.0)
     assert_allclose(low_pass.detail_mm(alone), 0.0, rtol=0.0, atol=1e-9)
 
 
 def test_the_stiffness_matrix_integrates_the_gradient():
     rest, faces = grid(7, 5, cell_m=0.02)
-    matrix = cotangent_matrix(modelled(rest, faces), faces, len(rest))
+    matrix = cotangent_matrix(modelled_rest(rest, faces), faces, len(rest))
     slope = rest @ [3.0, -2.0, 0.0]
     assert_allclose(slope @ (matrix @ slope), 13.0 * 0.14 * 0.10, rtol=1e-12, atol=0.0)
     assert_allclose(matrix @ np.ones(len(rest)), 0.0, rtol=0.0, atol=1e-12)

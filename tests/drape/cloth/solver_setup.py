@@ -11,7 +11,7 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
 from drape.cloth.problem import Problem, problem
-from drape.cloth.rest_state import flat, grain_along, modelled
+from drape.cloth.rest_state import flat_rest, grain_along, modelled_rest
 from drape.exact.surroundings import Around, surroundings
 from tests.drape.cloth.cloth_shapes import grid
 
@@ -31,13 +31,13 @@ class Scene(NamedTuple):
     x: np.ndarray
 
 
-def crumpled(material: str = "isotropic", *, flat_rest: bool = False, springs: bool = True, noise_m=0.001) -> Scene:
+def crumpled(material: str = "isotropic", *, flat: bool = False, springs: bool = True, noise_m=0.001) -> Scene:
     """A bent and stretched grid, its grain turned by 0.4, half of it in contact, with all springs or none."""
     rng = np.random.default_rng(7)
     rest, faces = grid(6, 5)
     rest[:, 2] = 0.004 * np.sin(150.0 * rest[:, 0])
     grain = grain_along(rest, faces, (np.sin(0.4), np.cos(0.4), 0.0))
-    state = (flat if flat_rest else modelled)(rest, faces, grain)
+    state = (flat_rest if flat else modelled_rest)(rest, faces, grain)
     cloth = ClothMesh.of(state, faces, len(rest))
     made = problem(cloth, MATERIALS[material], dtype=np.float64)
     x = rest + noise_m * rng.normal(size=rest.shape)

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from drape.cloth.coarse_mesh import CREASE_RAD, EDGE_M, coarse_mesh
 from drape.cloth.energies import ClothMesh
-from drape.cloth.rest_state import RestState, flat
+from drape.cloth.rest_state import RestState, flat_rest
 from drape.geometry import meshes
 from drape.live.coarse_weights import NEAREST, coarse_weights
 from tests.drape.cloth.cloth_shapes import grid, round_tube, tube
@@ -17,7 +17,7 @@ from tests.fixtures.garments import shipped
 
 def of_grid(columns: int = 30, rows: int = 24, cell_m: float = 0.01):
     vertices, faces = grid(columns, rows, cell_m=cell_m)
-    return vertices, faces, flat(vertices, faces)
+    return vertices, faces, flat_rest(vertices, faces)
 
 
 def test_a_flat_sheet_keeps_its_outline_area_and_grain():
@@ -27,7 +27,7 @@ def test_a_flat_sheet_keeps_its_outline_area_and_grain():
     few = vertices[made.vertex]
     assert_allclose(np.ptp(few, axis=0), np.ptp(vertices, axis=0), atol=1e-12)
     assert_allclose(made.rest.face_area.sum(), rest.face_area.sum(), rtol=1e-12)
-    want = flat(few, made.faces)
+    want = flat_rest(few, made.faces)
     assert_allclose(made.rest.edges, want.edges, atol=1e-9)
     assert len(meshes.boundary_loops(made.faces)) == 1
     assert len(coarse_mesh(rest, vertices, faces, edge_m=0.03, least=240).vertex) == 240
@@ -62,7 +62,7 @@ def test_a_vertex_with_too_many_triangles_stays():
             np.stack([i, j + spokes, j], axis=1),
         ]
     )
-    made = coarse_mesh(flat(vertices, faces), vertices, faces, edge_m=0.03)
+    made = coarse_mesh(flat_rest(vertices, faces), vertices, faces, edge_m=0.03)
     assert made.vertex[0] == 0 and len(made.vertex) < len(vertices)
 
 
@@ -75,7 +75,7 @@ def test_a_seam_between_two_charts_stays_a_line():
     made = coarse_mesh(RestState(edges, rest.hinge_angle, rest.stiffening), vertices, faces, edge_m=0.03)
     side = np.sign(np.round(vertices[made.vertex][:, 0] - 0.5 * vertices[:, 0].max(), 9))[made.faces]
     assert ((side >= 0).all(axis=1) | (side <= 0).all(axis=1)).all()
-    want = flat(vertices[made.vertex], made.faces).edges
+    want = flat_rest(vertices[made.vertex], made.faces).edges
     turned = (side > 0).any(axis=1)
     want[turned] = want[turned] @ np.array([[0.0, 1.0], [-1.0, 0.0]])
     assert_allclose(made.rest.edges, want, atol=1e-9)
@@ -85,7 +85,7 @@ def test_cloth_without_panels_has_no_seams_and_keeps_its_lengths():
     """Round a ball vertical warp turns from triangle to triangle, which is no seam: lengths are those of the ball."""
     heights = np.linspace(-0.1, 0.1, 31)
     vertices, faces = round_tube(0.15 * np.sqrt(1.0 - (heights / 0.13) ** 2), heights, 80)
-    made = coarse_mesh(flat(vertices, faces), vertices, faces)
+    made = coarse_mesh(flat_rest(vertices, faces), vertices, faces)
     target = made.rest.face_area.sum() / (0.5 * np.sqrt(3.0) * EDGE_M**2)
     assert len(made.vertex) < 1.2 * min(target, len(vertices) / 3.0)
     assert_allclose(made.rest.face_area.sum(), meshes.face_areas(vertices, faces).sum(), rtol=0.01)

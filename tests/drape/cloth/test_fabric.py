@@ -10,7 +10,7 @@ import torch
 
 from drape.arrays import like
 from drape.cloth import bending
-from drape.cloth.fabric import Fabric, bending_angle, hinge_rigidity, plate_rigidity, tensile_modulus
+from drape.cloth.fabric import Fabric, bending_angle, hinge_rigidity, plate_rigidity
 from drape.errors import InputError
 from drape.geometry import meshes
 
@@ -72,14 +72,6 @@ def test_plate_passes_through_the_three_given_rigidities():
 def test_hinges_of_an_isotropic_cloth_are_alike_in_torch_too():
     found = hinge_rigidity(ISOTROPIC, like(torch.ones(1, dtype=torch.float64), ANGLES))
     np.testing.assert_allclose(found.numpy(), 2.0e-5, rtol=1e-12, atol=0.0)
-
-
-def test_tensile_modulus_is_the_stiffness_of_a_strip_free_to_narrow():
-    expected = WOVEN.warp_n_per_m - WOVEN.cross_n_per_m**2 / WOVEN.weft_n_per_m
-    np.testing.assert_allclose(tensile_modulus(WOVEN, 0.0), expected, rtol=1e-12, atol=0.0)
-    # On the bias with no shear stiffness to speak of, shear alone gives: E = 4 G.
-    loose = replace(WOVEN, shear_n_per_m=1e-3)
-    np.testing.assert_allclose(tensile_modulus(loose, np.pi / 4.0), 1e-3, rtol=1e-4, atol=0.0)
 
 
 def test_softened_keeps_what_bends_shears_and_weighs():

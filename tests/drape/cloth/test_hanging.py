@@ -30,7 +30,7 @@ def sheet() -> tuple[np.ndarray, np.ndarray]:
 def test_free_cloth_falls_as_a_whole():
     """A step without velocity is g h^2, and no vertex moves against another."""
     vertices, faces = sheet()
-    fallen = HangingCloth(vertices, faces).hung(vertices, skin(ball()[0] + FAR, ball()[1]), 3)
+    fallen = HangingCloth(vertices, faces).hang(vertices, skin(ball()[0] + FAR, ball()[1]), 3)
     assert_allclose(
         fallen - vertices, np.tile([0.0, -3.0 * GRAVITY_M_S2 * STEP_S**2, 0.0], (len(vertices), 1)), atol=1e-9
     )
@@ -38,7 +38,7 @@ def test_free_cloth_falls_as_a_whole():
 
 def test_a_sheet_on_a_ball_hangs_down_on_all_sides_unstretched_and_outside():
     vertices, faces = sheet()
-    x = HangingCloth(vertices, faces).hung(vertices, skin(*ball()), 150)
+    x = HangingCloth(vertices, faces).hang(vertices, skin(*ball()), 150)
     away = np.linalg.norm(x, axis=1)
     assert away.min() > 0.149
     middle = np.linalg.norm(vertices[:, [0, 2]], axis=1).argmin()

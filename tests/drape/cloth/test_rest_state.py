@@ -43,8 +43,8 @@ def test_grain_turns_with_the_garment_and_changes_no_energy(rng):
     rest, faces = panel(rng)
     moved, turn = rest + 0.003 * rng.normal(size=rest.shape), random_rotation(rng)
     grain = np.broadcast_to([0.6, 0.8, 0.0], (len(faces), 3))
-    one = ClothMesh.of(rest_state.modelled(rest, faces, grain), faces, len(rest))
-    other = ClothMesh.of(rest_state.modelled(rest @ turn.T, faces, grain @ turn.T), faces, len(rest))
+    one = ClothMesh.of(rest_state.modelled_rest(rest, faces, grain), faces, len(rest))
+    other = ClothMesh.of(rest_state.modelled_rest(rest @ turn.T, faces, grain @ turn.T), faces, len(rest))
     for part in (energies.membrane, energies.bending):
         assert_allclose(part(moved @ turn.T, other, WOVEN), part(moved, one, WOVEN), rtol=1e-10, atol=0.0)
     warp_only = replace(LOOSE, weft_n_per_m=1e-9, cross_n_per_m=0.0, shear_n_per_m=1e-9)
@@ -68,7 +68,7 @@ def test_many_cloths_at_once_are_each_on_its_own(rng):
 
 def test_a_flat_rest_forgets_angles_and_keeps_lengths():
     rest, faces = tube()
-    shaped, level = rest_state.modelled(rest, faces), rest_state.flat(rest, faces)
+    shaped, level = rest_state.modelled_rest(rest, faces), rest_state.flat_rest(rest, faces)
     assert np.abs(shaped.hinge_angle).max() > 0.1 and not level.hinge_angle.any()
     mesh = ClothMesh.of(level, faces, len(rest))
     assert energies.membrane(rest, mesh, WOVEN) < 1e-20 < 1e-7 < energies.bending(rest, mesh, WOVEN)
@@ -77,7 +77,7 @@ def test_a_flat_rest_forgets_angles_and_keeps_lengths():
 def test_a_stiffened_hinge_counts_as_often(rng):
     rest, faces = panel(rng)
     moved = rest + 0.002 * rng.normal(size=rest.shape)
-    state = rest_state.flat(rest, faces)
+    state = rest_state.flat_rest(rest, faces)
     doubled = replace(state, stiffening=2.0 * state.stiffening)
     once, twice = (energies.bending(moved, ClothMesh.of(s, faces, len(rest)), WOVEN) for s in (state, doubled))
     assert_allclose(twice, 2.0 * once, rtol=1e-12, atol=0.0)
@@ -92,7 +92,7 @@ def test_warp_hangs_vertically_and_runs_forward_where_cloth_lies_level():
 
 def test_unphysical_rest_states_are_refused():
     rest, faces = grid(3, 3)
-    state = rest_state.flat(rest, faces)
+    state = rest_state.flat_rest(rest, faces)
     with pytest.raises(MeshError, match="area zero"):
         replace(state, edges=state.edges * np.array([1.0, 0.0])[None, :, None])
     with pytest.raises(MeshError, match="hinge angles"):

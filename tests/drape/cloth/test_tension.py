@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.cloth.energies import ClothMesh
-from drape.cloth.rest_state import flat, modelled
+from drape.cloth.rest_state import flat_rest, modelled_rest
 from drape.cloth.tension import cloth_tension, face_means, face_pressure
 from tests.drape.cloth import cloth_shapes
 
@@ -19,7 +19,7 @@ ROUNDING = 1e-11
 def stretched_tube(stretch: float) -> tuple[np.ndarray, ClothMesh]:
     """A tube of ``RADIUS_M`` at rest, wider by ``stretch``."""
     rest, faces = cloth_shapes.tube(AROUND, ALONG, radius_m=RADIUS_M, height_m=0.3)
-    return rest * [1.0 + stretch, 1.0, 1.0 + stretch], ClothMesh.of(flat(rest, faces), faces, len(rest))
+    return rest * [1.0 + stretch, 1.0, 1.0 + stretch], ClothMesh.of(flat_rest(rest, faces), faces, len(rest))
 
 
 def inner(values: np.ndarray) -> np.ndarray:
@@ -29,7 +29,7 @@ def inner(values: np.ndarray) -> np.ndarray:
 
 def test_an_even_stretch_is_the_strain_of_both_axes(rng):
     rest, faces = cloth_shapes.grid()
-    cloth = ClothMesh.of(modelled(rest, faces), faces, len(rest))
+    cloth = ClothMesh.of(modelled_rest(rest, faces), faces, len(rest))
     turned = rest * [1.05, 1.03, 1.0] @ cloth_shapes.random_rotation(rng).T + rng.normal(size=3)
     found = cloth_tension(turned, cloth, STIFFNESS, np.ones(len(rest), dtype=bool))
     assert_allclose(found.warp, 0.03, rtol=0.0, atol=ROUNDING)  # y hangs: it is the warp
@@ -57,7 +57,7 @@ def test_cloth_off_the_skin_hollow_or_slack_presses_nothing():
     touching[:] = True
     slack, _ = stretched_tube(-0.06)
     assert_allclose(cloth_tension(slack, cloth, STIFFNESS, touching).pressure, 0.0, atol=1e-6)
-    inwards = ClothMesh.of(flat(vertices, cloth.faces[:, ::-1]), cloth.faces[:, ::-1], len(vertices))
+    inwards = ClothMesh.of(flat_rest(vertices, cloth.faces[:, ::-1]), cloth.faces[:, ::-1], len(vertices))
     assert (face_pressure(1.05 * vertices, inwards, STIFFNESS) <= 1e-6).all()
     assert not cloth_tension(1.05 * vertices, inwards, STIFFNESS, touching).pressure.any()
 

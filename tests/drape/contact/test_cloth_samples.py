@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drape.contact.cloth_samples import BEHIND_M, COVER_M, MEMBERS, ClothSamples, cloth_samples, hidden_under, joined
+from drape.contact.cloth_samples import (
+    BEHIND_M,
+    COVER_M,
+    MEMBERS,
+    ClothSamples,
+    cloth_samples,
+    hidden_samples,
+    join_samples,
+)
 from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
 from drape.errors import InputError, MeshError
 from drape.geometry import closest
@@ -71,7 +79,7 @@ def test_joined_samples_are_those_of_their_meshes(rng):
     inner, outer = samples(), cloth_samples(*tube(0.2, rows=10))
     count = len(tube(RADIUS)[0])
     moved = rng.normal(size=(2, count + len(tube(0.2, rows=10)[0]), 3))
-    both = joined([inner, outer])
+    both = join_samples([inner, outer])
     first = inner.posed(moved[:, :count])
     second = outer.posed(moved[:, count:])
     for got, a, b in zip(both.posed(moved), first, second, strict=True):
@@ -81,17 +89,17 @@ def test_joined_samples_are_those_of_their_meshes(rng):
     assert_allclose(chosen.posed(moved)[0], both.posed(moved)[0][:, index], rtol=0, atol=1e-12)
     assert_array_equal(chosen.spacing_m, both.spacing_m[index])
     with pytest.raises(InputError, match="at least one"):
-        joined([])
+        join_samples([])
 
 
 def test_cloth_hides_what_lies_under_it_and_nothing_beside_it():
     over, faces = tube(RADIUS + 0.02, height=0.2)
-    hidden = hidden_under(samples(), over, faces)
+    hidden = hidden_samples(samples(), over, faces)
     height = np.abs(samples().point[:, 1])
     assert hidden[height < 0.095].all() and not hidden[height > 0.105].any()
-    assert not hidden_under(samples(), *tube(RADIUS + COVER_M + 0.01)).any()
-    assert not hidden_under(samples(), *tube(RADIUS - BEHIND_M - 0.01)).any()
-    assert hidden_under(samples(), *tube(RADIUS - 0.5 * BEHIND_M))[height < 0.18].all()
+    assert not hidden_samples(samples(), *tube(RADIUS + COVER_M + 0.01)).any()
+    assert not hidden_samples(samples(), *tube(RADIUS - BEHIND_M - 0.01)).any()
+    assert hidden_samples(samples(), *tube(RADIUS - 0.5 * BEHIND_M))[height < 0.18].all()
 
 
 def test_the_border_of_a_mesh_is_where_one_triangle_ends():

@@ -14,7 +14,15 @@ from drape.body.skeleton import JOINT_NAMES
 from drape.cloth import metrics
 from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.contact import projection
-from drape.contact.projection import CLEARANCE_M, PushFeed, blended, fit, push_in_parts, push_out, push_out_of_bodies
+from drape.contact.projection import (
+    CLEARANCE_M,
+    PushFeed,
+    blend_displacement,
+    fit,
+    push_in_parts,
+    push_out,
+    push_out_of_bodies,
+)
 from drape.contact.push_tables import BLOCK_SIZE, GROUP_SIZE, other_part, push_tables
 from drape.contact.skin import body_skin, skin_table
 from drape.errors import ArtifactError, MeshError
@@ -147,13 +155,13 @@ def test_a_smooth_displacement_is_fitted_and_cloth_far_from_a_push_stays():
     whole, feed = garment("tank"), feed_of("tank")
     slots = feed.block_vertex.reshape(-1)
     same = np.broadcast_to(np.array([[0.01], [-0.02], [0.005]]), (1, 3, len(slots)))
-    assert_allclose(blended(fit(same, feed), feed), same, rtol=0.02, atol=1e-4)
+    assert_allclose(blend_displacement(fit(same, feed), feed), same, rtol=0.02, atol=1e-4)
     rest = whole.vertices.astype(np.float64)[slots]
     bump = np.exp(-((np.linalg.norm(rest - rest[0], axis=1) / 0.05) ** 2)) * np.array([[[0.0], [0.0], [0.01]]])
-    found = blended(fit(bump, feed), feed)
+    found = blend_displacement(fit(bump, feed), feed)
     assert np.abs(found - bump).max() < 0.006
     far = np.linalg.norm(rest - rest[0], axis=1) > 0.4
-    assert_array_equal(blended(fit(np.where(bump > 1e-3, bump, 0.0), feed), feed)[0, :, far], 0.0)
+    assert_array_equal(blend_displacement(fit(np.where(bump > 1e-3, bump, 0.0), feed), feed)[0, :, far], 0.0)
 
 
 def test_jets_carry_the_fitted_push_and_what_they_lack_is_told(rng, monkeypatch):
@@ -172,7 +180,7 @@ def test_jets_carry_the_fitted_push_and_what_they_lack_is_told(rng, monkeypatch)
     vertices = skinned("trousers", poses) - np.array([0.0, 0.0, 0.015])  # drawn into the front of the legs
     pushed = push_in_parts(vertices, table_of(poses), feed)
     assert_array_equal(pushed.vertices, push_out(vertices, table_of(poses), feed))
-    carried = blended(pushed.coefficients, feed)[0].T[feed.vertex_slot]
+    carried = blend_displacement(pushed.coefficients, feed)[0].T[feed.vertex_slot]
     assert np.abs(carried).max() > 0.003, "must push for the test to mean something"
     for count in (27, 45):
         jet = 0.1 * rng.normal(size=(1, len(scale), count))
@@ -183,7 +191,7 @@ def test_jets_carry_the_fitted_push_and_what_they_lack_is_told(rng, monkeypatch)
     monkeypatch.setattr(projection, "JET_ROUNDS", 1)
     once = push_in_parts(vertices, table_of(poses), feed)
     assert_array_equal(once.vertices, pushed.vertices)  # those of vertices know nothing of the rounds
-    carried = blended(once.coefficients, feed)[0].T[feed.vertex_slot]
+    carried = blend_displacement(once.coefficients, feed)[0].T[feed.vertex_slot]
     rest = np.linalg.norm(once.vertices[0] - vertices[0] - carried, axis=-1)
     assert_allclose(once.left_m, rest.max(), rtol=0, atol=1e-9)
     assert 0.0 < pushed.left_m[0] < once.left_m[0] < 0.03
@@ -193,7 +201,7 @@ def test_cloth_of_jets_comes_out_of_the_body_like_cloth_of_vertices():
     feed, poses = feed_of("trousers"), bent("left_hip", (-1.2, 0.0, 0.3))
     vertices = skinned("trousers", poses) - np.array([0.0, 0.0, 0.015])
     pushed = push_in_parts(vertices, table_of(poses), feed)
-    of_jets = vertices + np.swapaxes(blended(pushed.coefficients, feed), 1, 2)[:, feed.vertex_slot]
+    of_jets = vertices + np.swapaxes(blend_displacement(pushed.coefficients, feed), 1, 2)[:, feed.vertex_slot]
     posed, faces = default_body().posed_vertices(poses), default_body().faces
     drape, by_vertices, by_jets = (
         metrics.colliding_triangle_pct(cloth, posed, faces)[0] for cloth in (vertices, pushed.vertices, of_jets)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_array_equal
 
 from drape.cloth.contact import BodyContact
-from drape.exact.creases import hidden_skin, out_of, outside
+from drape.exact.creases import hidden_skin, move_out, without_creases
 from tests.drape.geometry.geometry_shapes import icosphere
 
 RADIUS_M, BEND_M = 0.05, 0.1
@@ -42,17 +42,17 @@ def test_only_skin_inside_another_part_is_hidden():
 
 def test_contact_is_with_the_outside_of_the_body():
     x, faces, _ = bent(5.25)  # the ends touch nearly
-    taking_part = outside(BodyContact(faces, len(x)), x).vertices
+    taking_part = without_creases(BodyContact(faces, len(x)), x).vertices
     assert taking_part is not None and 0 < len(x) - len(taking_part) < 0.2 * len(x)
-    some = outside(BodyContact(faces, len(x), vertices=np.arange(10)), x).vertices
+    some = without_creases(BodyContact(faces, len(x), vertices=np.arange(10)), x).vertices
     assert_array_equal(some, np.intersect1d(taking_part, np.arange(10)))
 
 
 def test_points_are_led_out_of_a_crease():
     x, faces, _ = bent(5.6)
-    contact = outside(BodyContact(faces, len(x)), x)
+    contact = without_creases(BodyContact(faces, len(x)), x)
     between = ends(5.6).mean(axis=0, keepdims=True) - np.array([0.02, 0.0, 0.0])
-    moved = out_of(contact, x, between, 0.004)
+    moved = move_out(contact, x, between, 0.004)
     assert moved[0, 0] < between[0, 0] - 0.005
     far = np.array([[0.0, 0.5, 0.0]])
-    assert_array_equal(out_of(contact, x, far, 0.004), far)
+    assert_array_equal(move_out(contact, x, far, 0.004), far)

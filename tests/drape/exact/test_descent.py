@@ -13,7 +13,7 @@ from drape.cloth import energies
 from drape.cloth.contact import plane_distance
 from drape.cloth.energies import ClothMesh
 from drape.cloth.problem import problem
-from drape.cloth.rest_state import flat
+from drape.cloth.rest_state import flat_rest
 from drape.cloth.waistband import band_energy
 from drape.exact import descent
 from tests.drape.cloth.cloth_shapes import grid
@@ -27,9 +27,9 @@ def energy_at(scene, x):
     return descent.energy_and_gradient(x, scene.problem, scene.around, np.empty_like(x))
 
 
-@pytest.mark.parametrize(("material", "flat_rest"), CASES)
-def test_the_energy_is_that_of_the_product(material, flat_rest):
-    scene = crumpled(material, flat_rest=flat_rest, springs=False)
+@pytest.mark.parametrize(("material", "flat"), CASES)
+def test_the_energy_is_that_of_the_product(material, flat):
+    scene = crumpled(material, flat=flat, springs=False)
     distance = plane_distance(scene.x, scene.around.point, scene.around.normal)
     parts = energies.total(scene.x, scene.cloth, scene.material, distance=distance)
     assert_allclose(energy_at(scene, scene.x), sum(parts.values()), rtol=1e-12, atol=0.0)
@@ -52,9 +52,9 @@ def test_springs_are_inertia_and_waistband():
     assert_allclose(added, inertia + band, rtol=1e-9, atol=0.0)
 
 
-@pytest.mark.parametrize(("material", "flat_rest"), CASES)
-def test_the_engine_equals_the_reference(material, flat_rest):
-    scene = crumpled(material, flat_rest=flat_rest)
+@pytest.mark.parametrize(("material", "flat"), CASES)
+def test_the_engine_equals_the_reference(material, flat):
+    scene = crumpled(material, flat=flat)
     gradient = np.empty_like(scene.x)
     energy = descent.energy_and_gradient(scene.x, scene.problem, scene.around, gradient)
     wanted, wanted_gradient = reference.energy_and_gradient(scene.x, scene.problem, scene.around)
@@ -69,9 +69,9 @@ def test_the_engine_equals_the_reference(material, flat_rest):
     assert_allclose(blocks[9], wanted_block, rtol=1e-10, atol=1e-10 * np.abs(wanted_block).max())
 
 
-@pytest.mark.parametrize(("material", "flat_rest"), CASES)
-def test_a_guarded_sweep_never_raises_the_energy(material, flat_rest):
-    scene = crumpled(material, flat_rest=flat_rest, noise_m=0.003)
+@pytest.mark.parametrize(("material", "flat"), CASES)
+def test_a_guarded_sweep_never_raises_the_energy(material, flat):
+    scene = crumpled(material, flat=flat, noise_m=0.003)
     x, before = scene.x.copy(), energy_at(scene, scene.x)
     start = before
     for _ in range(30):
@@ -83,7 +83,7 @@ def test_a_guarded_sweep_never_raises_the_energy(material, flat_rest):
 
 
 def test_sweeps_give_the_same_bits_again():
-    scene = crumpled("denim", flat_rest=True)
+    scene = crumpled("denim", flat=True)
     ends = [scene.x.copy() for _ in range(2)]
     for x in ends:
         for _ in range(3):
@@ -93,7 +93,7 @@ def test_sweeps_give_the_same_bits_again():
 
 def test_the_quadratic_bending_is_that_of_the_hinges_where_they_are_nearly_flat():
     rest, faces = grid(8, 5)
-    cloth = ClothMesh.of(flat(rest, faces), faces, len(rest))
+    cloth = ClothMesh.of(flat_rest(rest, faces), faces, len(rest))
     made = problem(cloth, MATERIALS["rib"], dtype=np.float64)
     assert len(made.creases.corner) == 0
     bent = rest.copy()
@@ -107,7 +107,7 @@ def test_the_quadratic_bending_is_that_of_the_hinges_where_they_are_nearly_flat(
 
 def test_hinges_that_are_not_flat_at_rest_are_creases():
     rest, faces = grid(8, 5)
-    state = flat(rest, faces)
+    state = flat_rest(rest, faces)
     angle = np.where(np.arange(len(state.hinge_angle)) < 3, 0.4, 0.0)
     cloth = ClothMesh.of(replace(state, hinge_angle=angle), faces, len(rest))
     made = problem(cloth, MATERIALS["rib"], dtype=np.float64)

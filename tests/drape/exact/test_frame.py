@@ -13,7 +13,7 @@ from drape.cloth.fabric_table import fabric
 from drape.errors import MeshError
 from drape.exact import frame
 from drape.exact.frame import ExactCloth, RestingFrame, exact
-from drape.exact.path import WAY_M, Body, between, followed, poses_between
+from drape.exact.path import WAY_M, Body, follow, pose_between, poses_between
 from drape.garment.cache import Garment
 from drape.geometry.triangle_pairs import crossing_pairs
 
@@ -50,7 +50,7 @@ def test_a_start_that_is_apart_comes_to_rest(sheet: ExactCloth):
 
 
 def test_a_start_that_crosses_comes_to_rest_apart(sheet: ExactCloth):
-    start = tangled(sheet, sheet.body.carried(sheet.rest, np.zeros((24, 3)), POSE))
+    start = tangled(sheet, sheet.body.carry(sheet.rest, np.zeros((24, 3)), POSE))
     lain, told = exact(sheet, POSE, start)
     assert told.start_crossings > 0 and told.crossings == 0 and told.force_share <= 0.01
     assert len(crossing_pairs(lain.x, sheet.faces)) == 0
@@ -61,9 +61,9 @@ def test_a_start_that_crosses_comes_to_rest_apart(sheet: ExactCloth):
 
 
 def test_no_frame_ends_above_its_start(sheet: ExactCloth, monkeypatch: pytest.MonkeyPatch):
-    start = tangled(sheet, sheet.body.carried(sheet.rest, np.zeros((24, 3)), POSE))
-    monkeypatch.setattr(frame, "led", lambda *_: 2.0 * sheet.rest)  # a way that leads astray
-    monkeypatch.setattr(frame, "drawn_to", lambda cloth, contact, posed, x, goal, band: x)
+    start = tangled(sheet, sheet.body.carry(sheet.rest, np.zeros((24, 3)), POSE))
+    monkeypatch.setattr(frame, "lead", lambda *_: 2.0 * sheet.rest)  # a way that leads astray
+    monkeypatch.setattr(frame, "draw_to", lambda cloth, contact, posed, x, goal, band: x)
     monkeypatch.setattr(frame, "STEPS", 1)
     _, told = exact(sheet, POSE, start)
     assert told.energy_j <= told.start_j and told.start_crossings > 0
@@ -72,15 +72,15 @@ def test_no_frame_ends_above_its_start(sheet: ExactCloth, monkeypatch: pytest.Mo
 def test_a_frame_comes_from_the_one_before_it_unless_only_that_crosses(
     sheet: ExactCloth, monkeypatch: pytest.MonkeyPatch
 ):
-    start = sheet.body.carried(sheet.rest, np.zeros((24, 3)), POSE)
+    start = sheet.body.carry(sheet.rest, np.zeros((24, 3)), POSE)
     wrong, came = tangled(sheet, sheet.rest), []
 
-    def followed(cloth, contact, body, x, motion, ends) -> np.ndarray:
+    def follow(cloth, contact, body, x, motion, ends) -> np.ndarray:
         came.append(x)
         assert_allclose(motion, start - sheet.rest)
         return x + motion
 
-    monkeypatch.setattr(frame, "followed", followed)
+    monkeypatch.setattr(frame, "follow", follow)
     monkeypatch.setattr(frame, "STEPS", 1)
     exact(sheet, POSE, start, RestingFrame(np.zeros((24, 3)), sheet.rest, sheet.rest))
     exact(sheet, POSE, start, RestingFrame(np.zeros((24, 3)), wrong, sheet.rest))
@@ -91,7 +91,7 @@ def test_cloth_follows_the_motion_that_it_is_given(sheet: ExactCloth):
     motion = np.zeros_like(sheet.rest)
     motion[:, 1] = np.where(sheet.rest[:, 1] < np.median(sheet.rest[:, 1]), -0.004, 0.0)
     still = np.zeros((24, 3))
-    x = followed(sheet.cloth, sheet.contact, sheet.body, sheet.rest, motion, (still, still))
+    x = follow(sheet.cloth, sheet.contact, sheet.body, sheet.rest, motion, (still, still))
     off = np.linalg.norm(x - sheet.rest - motion, axis=1)
     assert (off < 1e-6).mean() > 0.9  # all but what lies in the skin
 
@@ -110,7 +110,7 @@ def test_cloth_that_crosses_at_rest_and_numbers_that_are_none_are_refused(
 def test_points_on_the_skin_go_with_it(body: BodyModel, rng: np.random.Generator):
     one = Body(body, rng.normal(scale=0.5, size=body.shape_count))
     other = 0.2 * rng.normal(size=(24, 3))
-    assert_allclose(one.carried(one.posed(POSE), POSE, other), one.posed(other), atol=1e-9)
+    assert_allclose(one.carry(one.posed(POSE), POSE, other), one.posed(other), atol=1e-9)
 
 
 def test_poses_on_the_way_are_near_to_each_other(body: BodyModel):
@@ -120,4 +120,4 @@ def test_poses_on_the_way_are_near_to_each_other(body: BodyModel):
     assert_allclose(pairs[0][0], 0.0, atol=1e-12)
     assert_allclose(pairs[-1][1], far, atol=1e-9)
     assert all(np.linalg.norm(one.posed(b) - one.posed(a), axis=1).max() < 1.2 * WAY_M for a, b in pairs)
-    assert_allclose(between(POSE, POSE, 0.5), POSE, atol=1e-12)
+    assert_allclose(pose_between(POSE, POSE, 0.5), POSE, atol=1e-12)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.testing import assert_allclose
 
@@ -11,7 +9,7 @@ from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
-from drape.cloth.rest_state import flat
+from drape.cloth.rest_state import flat_rest
 from drape.exact import settling
 from drape.exact.newton import Cloth, Descent
 from drape.live.whole import stiffness
@@ -19,15 +17,9 @@ from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.geometry.geometry_shapes import icosphere
 
 
-class At(NamedTuple):
-    x: np.ndarray
-    energy: float
-    force: np.ndarray
-
-
 def cloth_of(name: str) -> tuple[ClothMesh, Material]:
     rest, faces = grid(12, 12, cell_m=0.01)
-    return ClothMesh.of(flat(rest, faces), faces, len(rest)), Material.of(fabric(name))
+    return ClothMesh.of(flat_rest(rest, faces), faces, len(rest)), Material.of(fabric(name))
 
 
 def test_where_the_stiffness_is_the_energys_own_one_round_is_enough():
@@ -35,9 +27,9 @@ def test_where_the_stiffness_is_the_energys_own_one_round_is_enough():
     matrix = stiffness(cloth, material, np.zeros(cloth.vertex_count))
     goal = 1e-2 * np.random.default_rng(2).uniform(-0.5, 0.5, size=(cloth.vertex_count, 3))
 
-    def found(x: np.ndarray) -> At:
+    def found(x: np.ndarray) -> settling.State:
         force = matrix @ (x - goal)
-        return At(x, 0.5 * float(((x - goal) * force).sum()), force)
+        return settling.State(x, 0.5 * float(((x - goal) * force).sum()), force)
 
     got = settling.settle(found(np.zeros_like(goal)), found, settling.inverse(cloth, material), 1)
     assert_allclose(got.x, goal, rtol=0.0, atol=1e-12)
@@ -58,5 +50,5 @@ def test_a_sheet_over_a_ball_settles_lower_with_its_memory_and_never_above_the_s
         energies.append(one.best.energy)
         assert one.best.energy < one.start_j
     assert energies[1] < energies[0]
-    lost = settling.settle(one.best, lambda x: one.found(x)._replace(energy=np.nan), one.cloth.solve, 60)
+    lost = settling.settle(one.best, lambda x: one.evaluate(x)._replace(energy=np.nan), one.cloth.solve, 60)
     assert lost is one.best

@@ -107,7 +107,7 @@ def test_faces_that_uv_tell_are_not_stored(tmp_path):
 
 
 def with_rest(garment: Garment) -> Garment:
-    state = rest_state.flat(garment.vertices, garment.fine_faces)
+    state = rest_state.flat_rest(garment.vertices, garment.fine_faces)
     arrays = {"rest_edges": state.edges, "rest_angle": state.hinge_angle, "rest_stiffening": 2.0 * state.stiffening}
     arrays = {name: array.astype(np.float32) for name, array in arrays.items()}
     return dataclasses.replace(garment, fabric={"name": "mine", "warp_n_per_m": 80.0}, **arrays)
@@ -128,7 +128,7 @@ def test_a_garment_of_before_has_the_rest_state_of_its_mesh(stored):
     rewrite(stored, header=header)
     read = load_garment(stored)
     assert (read.rest_edges, read.fabric) == (None, "jersey")
-    expected = rest_state.flat(read.vertices, read.fine_faces)  # a tube has no crease
+    expected = rest_state.flat_rest(read.vertices, read.fine_faces)  # a tube has no crease
     assert_array_equal(read.rest_state().edges, expected.edges)
     assert_array_equal(read.rest_state().hinge_angle, 0.0)
     assert read.rest_state() is read.rest_state()

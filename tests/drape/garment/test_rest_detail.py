@@ -146,7 +146,7 @@ def test_materials_of_other_triangles_say_nothing():
 def test_modelled_is_the_mesh_as_it_is():
     vertices, faces = folded_sleeve()
     state, figures = rest_of(cloth_of(vertices, faces, modelled=1.3 * vertices), "modelled")
-    today = rest_state.modelled(vertices, faces)
+    today = rest_state.modelled_rest(vertices, faces)
     for name in ("edges", "hinge_angle", "stiffening"):
         assert_array_equal(getattr(state, name), getattr(today, name))
     assert figures.kept_share == 1.0
@@ -156,7 +156,7 @@ def test_flat_keeps_no_angle_and_the_lengths():
     vertices, faces = folded_sleeve()
     state, figures = rest_of(cloth_of(vertices, faces), "flat")
     assert_array_equal(state.hinge_angle, 0.0)
-    assert_array_equal(state.edges, rest_state.modelled(vertices, faces).edges)
+    assert_array_equal(state.edges, rest_state.modelled_rest(vertices, faces).edges)
     assert figures.kept_share == 0.0
 
 
@@ -166,7 +166,7 @@ def test_angles_are_those_of_the_cloth_as_delivered():
     pushed[:, 2] += 0.02 * np.sin(40.0 * pushed[:, 1])
     state, _ = rest_of(cloth_of(pushed, faces, modelled=vertices))
     assert_array_equal(state.hinge_angle, rest_of(cloth_of(vertices, faces))[0].hinge_angle)
-    assert_array_equal(state.edges, rest_state.modelled(pushed, faces).edges)
+    assert_array_equal(state.edges, rest_state.modelled_rest(pushed, faces).edges)
 
 
 def test_seams_of_panels_keep_their_angle():
@@ -199,7 +199,7 @@ def test_lengths_are_those_of_the_panels_unless_the_cloth_was_resized():
     vertices, faces, uv, uv_faces = unrolled(unit_m=3.0)
     on_corners = corner_uv(uv, uv_faces, len(faces))
     worn = cloth_of(1.03 * vertices, faces, modelled=1.03 * vertices, on_corners=on_corners, uv_unit_m=3.0)
-    cut = rest_state.modelled(vertices, faces).face_area
+    cut = rest_state.modelled_rest(vertices, faces).face_area
     state, figures = rest_of(worn)
     assert figures.lengths == "panels"
     assert_allclose(state.face_area, cut, rtol=1e-9, atol=0.0)

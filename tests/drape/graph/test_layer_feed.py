@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
 from drape.cloth import metrics
-from drape.contact.cloth_samples import joined
+from drape.contact.cloth_samples import join_samples
 from drape.contact.projection import CLEARANCE_M, push_out_of_bodies
 from drape.contact.samples import sample_table
 from drape.contact.skin import body_skin
@@ -22,6 +22,7 @@ from drape.geometry.skinning import skin_points
 from drape.graph.layer_feed import LayerFeed, check_layers, layer_feed, push_over, sheet
 from tests.fixtures.cut_garments import cut_garment
 from tests.fixtures.garments import shipped
+from tests.fixtures.layers import through_pct
 
 
 @cache
@@ -67,10 +68,10 @@ def test_the_outer_garment_comes_out_of_the_inner_one(poses: np.ndarray, below: 
     """At rest tank and shirt lie within millimetres, the one before the other in some places."""
     inner, outer, faces = skinned(below, poses), skinned(over, poses), garment(below).faces.astype(np.int64)
     posed = load_body().posed_vertices(poses)
-    before = metrics.through_pct(outer, inner, faces)
+    before = through_pct(outer, inner, faces)
     pushed = push_over(outer, inner, table_of(posed), feed_of(below, over))
     assert before.min() > 10.0, "must be through for the test to mean something"
-    assert metrics.through_pct(pushed, inner, faces).max() < limit_pct
+    assert through_pct(pushed, inner, faces).max() < limit_pct
     assert metrics.colliding_triangle_pct(pushed, posed, load_body().faces).max() < 0.1
     # Sleeves hang on nothing that the tank covers: they stay where the body alone would leave them.
     cuff = np.abs(garment(over).vertices[: outer.shape[1], 0]) > 0.45
@@ -81,7 +82,7 @@ def test_it_is_the_push_out_of_one_surface_that_body_and_cloth_are():
     poses = bent()
     inner, outer, posed = skinned("tank", poses), skinned("longsleeve", poses), load_body().posed_vertices(poses)
     feed, skin, cloth = feed_of("tank", "longsleeve"), body_skin(load_body()), sheet(garment("tank")).samples
-    seen = joined([skin, cloth]).of_regions(feed.region.reshape(-1))
+    seen = join_samples([skin, cloth]).of_regions(feed.region.reshape(-1))
     whole = push_out_of_bodies(outer, np.concatenate([posed, inner], axis=1), seen, feed.push, CLEARANCE_M)
     assert np.abs(whole - outer).max() > 0.005
     assert_allclose(push_over(outer, inner, table_of(posed), feed), whole, rtol=0, atol=2e-6)  # rows are float32
@@ -106,7 +107,7 @@ def test_three_layers_count_their_vertices_one_after_the_other(cut: str, limit_p
     pushed = push_over(outer, under, table, feed)
     for kind, start in ((tank, 0), (shorts, first)):
         below, faces = under[:, start : start + garment(kind).vertex_count], garment(kind).faces.astype(np.int64)
-        assert metrics.through_pct(pushed, below, faces).max() < limit_pct
+        assert through_pct(pushed, below, faces).max() < limit_pct
 
 
 def test_outfits_that_make_no_sense_are_refused():

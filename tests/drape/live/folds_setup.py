@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse
 
 from drape.cloth.energies import ClothMesh
-from drape.cloth.rest_state import RestState, modelled
+from drape.cloth.rest_state import RestState, modelled_rest
 from drape.contact.samples import Samples, sample_table
 from drape.engine.library import LANES, empty_points
 from drape.live.clock import Frame
@@ -48,7 +48,7 @@ def arm(around: int = 14, along: int = 9) -> Samples:
 def sleeve(material: str = "rib", *, creased: bool = True) -> tuple[np.ndarray, WornCloth]:
     """A tube with ease over the arm, its vertices [m] (V, 3), held at its upper rim; a hem is folded at rest."""
     rest, faces = tube(11, 6, radius_m=RADIUS_M + EASE_M, height_m=HEIGHT_M)
-    state = modelled(rest, faces)
+    state = modelled_rest(rest, faces)
     kept = np.arange(len(state.hinge_angle)) % 5 == 0 if creased else np.zeros(len(state.hinge_angle), bool)
     state = RestState(state.edges, np.where(kept, 0.5, 0.0), state.stiffening)
     dressed = WornCloth(

@@ -12,7 +12,7 @@ from drape.cloth.material import Material
 from drape.contact.samples import Samples, sample_table
 from drape.engine.calls import call
 from drape.engine.packer import Record
-from drape.live.ceiling import ceiling_over, lower, pressed
+from drape.live.ceiling import ceiling_over, lower, press
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.skin_walks import nearest_at_rest, skin_graph
 from tests.drape.cloth.cloth_shapes import grid
@@ -58,11 +58,11 @@ def over(height_m: float = 0.02) -> np.ndarray:
     return ceiling_over(OUTER[0] + (height_m - 0.02) * UP, worn(*OUTER).laid, SKIN)
 
 
-def press(vertices: np.ndarray, ceiling: np.ndarray) -> np.ndarray:
+def press_inner(vertices: np.ndarray, ceiling: np.ndarray) -> np.ndarray:
     """The inner cloth, with ``vertices``, below the ``ceiling``."""
     made = worn(*INNER)
     own = nearest_at_rest(vertices, floor()[0])[made.sheet.vertex]
-    return pressed(vertices, made.laid, own, SKIN, ceiling)
+    return press(vertices, made.laid, own, SKIN, ceiling)
 
 
 def test_the_ceiling_is_the_lowest_of_the_outer_cloth_over_a_sample():
@@ -101,7 +101,7 @@ def test_a_hole_among_covered_samples_is_filled():
 
 def test_covered_cloth_goes_below_the_ceiling_and_takes_the_cloth_around_along():
     rest = INNER[0]
-    after = press(rest, over())
+    after = press_inner(rest, over())
     assert_allclose(after[:, [0, 2]], rest[:, [0, 2]], atol=1e-12)
     assert after[COVERED, 1].max() < 0.02 - GAP_M + 1e-9
     assert_allclose(after[COVERED, 1], 0.02 - GAP_M, atol=5e-4)
@@ -120,13 +120,13 @@ def test_a_wrinkle_stays_where_cloth_is_taken_along():
     beyond = INNER[0][:, 2] > OUTER[0][:, 2].max() + 0.03
     crumpled = INNER[0].copy()
     crumpled[np.flatnonzero(beyond)[::2], 1] += 0.002
-    after = press(crumpled, over())
+    after = press_inner(crumpled, over())
     assert np.abs(after - crumpled)[beyond, 1].max() > 0.005
-    assert_allclose((after - press(INNER[0], over()))[beyond], (crumpled - INNER[0])[beyond], atol=4e-4)
+    assert_allclose((after - press_inner(INNER[0], over()))[beyond], (crumpled - INNER[0])[beyond], atol=4e-4)
 
 
 def test_nothing_comes_nearer_to_what_lies_below_than_least():
-    assert press(INNER[0], over(0.001))[:, 1].min() == pytest.approx(LEAST_M, abs=1e-9)
+    assert press_inner(INNER[0], over(0.001))[:, 1].min() == pytest.approx(LEAST_M, abs=1e-9)
 
 
 def test_a_way_down_into_a_hollow_ends_above_both_of_its_sides():
@@ -147,7 +147,7 @@ def test_a_way_down_into_a_hollow_ends_above_both_of_its_sides():
 
 def test_cloth_that_is_near_the_skin_is_not_taken_into_it():
     low = INNER[0] - np.where(COVERED, 0.0, 0.03 - 0.5 * LEAST_M)[:, None] * UP
-    after = press(low, over())
+    after = press_inner(low, over())
     assert_array_equal(after[~COVERED], low[~COVERED])
 
 
@@ -156,15 +156,15 @@ def test_skin_that_is_aslant_below_the_planes_bounds_no_way():
     leaning[:, 4:7] = [1.0, 0.0, 0.0]
     made = worn(*INNER)
     own = nearest_at_rest(INNER[0], floor()[0])[made.sheet.vertex]
-    after = pressed(INNER[0], made.laid, own, leaning, over())
+    after = press(INNER[0], made.laid, own, leaning, over())
     assert_allclose(after[COVERED, 1], 0.02 - GAP_M, atol=2e-3)
 
 
 def test_cloth_that_is_nowhere_too_high_is_not_touched():
-    assert press(INNER[0], over(0.05)) is INNER[0]
+    assert press_inner(INNER[0], over(0.05)) is INNER[0]
     nothing = over()
     nothing[:, 0] = np.inf
-    assert press(INNER[0], nothing) is INNER[0]
+    assert press_inner(INNER[0], nothing) is INNER[0]
 
 
 def test_numbers_that_are_none_press_nothing():
@@ -172,5 +172,5 @@ def test_numbers_that_are_none_press_nothing():
     broken[7] = np.nan
     made = worn(*INNER)
     own = nearest_at_rest(INNER[0], floor()[0])[made.sheet.vertex]
-    after = pressed(broken, made.laid, own, SKIN, over(0.05))
+    after = press(broken, made.laid, own, SKIN, over(0.05))
     assert np.isfinite(np.delete(after, 7, axis=0)).all()

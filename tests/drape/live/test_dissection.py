@@ -9,7 +9,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 from numpy.testing import assert_array_equal
 
-from drape.live.dissection import COSTS, WIDEST, Costs, dissected, runs
+from drape.live.dissection import COSTS, WIDEST, Costs, dissection_order, runs
 from tests.drape.cloth.cloth_shapes import grid
 
 
@@ -39,10 +39,10 @@ def test_an_order_has_each_vertex_once_and_saves_entries(rng):
     shuffled = rng.permutation(count)[faces]
     for parts in ((shuffled,), (shuffled, faces), (faces[:1],)):
         matrix = mesh_matrix(*parts)
-        order = dissected(matrix.indptr, matrix.indices)
+        order = dissection_order(matrix.indptr, matrix.indices)
         assert_array_equal(np.sort(order), np.arange(matrix.shape[0]))
     matrix = mesh_matrix(shuffled)
-    found = lower(matrix, dissected(matrix.indptr, matrix.indices))
+    found = lower(matrix, dissection_order(matrix.indptr, matrix.indices))
     assert found.nnz < 0.75 * lower(matrix, np.arange(count)).nnz
 
 

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.engine.calls import call_with_scratch
 from drape.live.clock import PAUSE_S, Frame
-from drape.live.eased import LiftMemory, lifted_alone
+from drape.live.eased import LiftMemory
 from drape.live.fold_step import FoldEffort
 from drape.live.two_level import TwoLevel
 from tests.drape.live.folds_setup import CUT_M, FAR_M, spared
@@ -55,7 +55,7 @@ def test_a_step_lowers_the_strain_and_frames_lower_it_further(tank: TwoLevel, st
 
 def test_what_was_eased_turns_with_the_body_and_fades(tank: TwoLevel, still: Frame):
     angle, later_s = 0.1, 1.0 / 30.0
-    _, memory, _ = lifted_alone(tank.levels, None, still, IDLE)
+    _, memory, _ = tank.fold(None, still, IDLE)
     here, _, _ = tank.fold(memory, replace(still, time_s=later_s), IDLE)
     there, _, _ = tank.fold(memory, replace(turned(still, angle), time_s=later_s), IDLE)
     assert_allclose(turned(replace(still, vertices=here), angle).vertices, there, atol=2e-5)
@@ -82,14 +82,14 @@ def test_cloth_beside_another_part_of_the_body_goes_out_of_it(tank: TwoLevel, st
 
 
 def test_a_jump_is_told(tank: TwoLevel, still: Frame):
-    _, memory, _ = lifted_alone(tank.levels, None, still, IDLE)
+    _, memory, _ = tank.fold(None, still, IDLE)
     far = replace(still, vertices=still.vertices + np.float32(1.01 * CUT_M), time_s=1.0 / 30.0)
     report = tank.fold(memory, far, IDLE)[2]
     assert report.settled and report.reset
 
 
 def test_what_is_no_fold_is_left_out(tank: TwoLevel, still: Frame):
-    _, memory, _ = lifted_alone(tank.levels, None, still, IDLE)
+    _, memory, _ = tank.fold(None, still, IDLE)
     for wrong in (np.nan, 4.0 * FAR_M):
         torn = replace(memory, eased=np.full_like(memory.eased, wrong))
         vertices, after, _ = tank.fold(torn, replace(still, time_s=1.0 / 30.0), IDLE._replace(clearance_m=0.0))
@@ -98,7 +98,7 @@ def test_what_is_no_fold_is_left_out(tank: TwoLevel, still: Frame):
 
 
 def test_the_same_input_gives_the_same_bits_and_a_pause_begins_anew(tank: TwoLevel, still: Frame):
-    first, memory, _ = lifted_alone(tank.levels, None, still, IDLE)
+    first, memory, _ = tank.fold(None, still, IDLE)
     kept = memory.eased.copy()
     again = [tank.fold(memory, replace(still, time_s=1.0 / 30.0), IDLE)[0] for _ in range(2)]
     assert_array_equal(again[0], again[1])

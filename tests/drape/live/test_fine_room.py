@@ -14,7 +14,7 @@ from drape.geometry.triangle_pairs import crossing_pairs
 from drape.live.clock import Frame
 from drape.live.fold_step import FoldEffort
 from drape.live.room import ROOM_M
-from drape.live.two_level import TwoLevel, fold_two_level
+from drape.live.two_level import TwoLevel
 from tests.fixtures.garments import shipped
 from tests.reference.folds import KEPT, KEPT_M, SPACING
 
@@ -73,5 +73,5 @@ def test_cloth_that_is_pressed_together_crosses_itself_less(tank: TwoLevel, stil
     one = replace(one, vertices=one.vertices * np.array([1.0, 0.8, 1.0], np.float32))
     for number in range(12):
         frame = replace(one, time_s=number / 30.0)
-        x, memory, _ = fold_two_level(tank, memory, frame, FoldEffort(steps=4, settle=2, cloth_contact=True))
+        x, memory, _ = tank.fold(memory, frame, FoldEffort(steps=4, settle=2, cloth_contact=True))
     assert len(crossing_pairs(x.astype(np.float64), shipped("tank").faces)) < 46

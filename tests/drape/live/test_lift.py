@@ -12,7 +12,7 @@ from drape.contact.projection import CLEARANCE_M, MOVED_M
 from drape.engine.calls import call
 from drape.engine.library import LANES
 from drape.live.fold_step import FoldEffort, fold
-from drape.live.raised_skin import raised
+from drape.live.raised_skin import raise_skin
 from tests.drape.live.folds_setup import RADIUS_M, constants, frame, planes_of, sleeve
 from tests.reference.folds import DEEP_M, OTHER, TOO_DEEP_M
 
@@ -53,7 +53,7 @@ def test_out_of_another_part_it_goes_a_share_and_its_own_comes_last():
 def test_a_frame_ends_clear_of_the_skin_and_tells_what_was_lifted():
     """A sleeve whose arm has grown by half a centimetre since the network saw it."""
     made, one = constants(creased=False, dtype=np.float64), frame(sleeve(creased=False)[0], 0, noise_m=0.0)
-    grown = replace(one, skin=raised(one.skin, np.full(len(one.skin), 0.005)))
+    grown = replace(one, skin=raise_skin(one.skin, np.full(len(one.skin), 0.005)))
     effort = FoldEffort(steps=1, settle=1)
 
     def radius_m(x: np.ndarray) -> np.ndarray:

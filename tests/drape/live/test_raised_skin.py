@@ -13,7 +13,7 @@ from drape.cloth.material import Material
 from drape.contact.samples import sample_table
 from drape.live.fold_constants import LaidCloth
 from drape.live.fold_step import fold
-from drape.live.raised_skin import heights_over, raised
+from drape.live.raised_skin import heights_over, raise_skin
 from drape.live.sheet import sheet
 from drape.live.skin_walks import NEIGHBOURS, SkinGraph
 from tests.drape.live.folds_setup import EASE_M, HELD, RADIUS_M, constants, frame, sleeve
@@ -116,7 +116,7 @@ def test_raised_samples_are_a_table_of_samples_again(rng):
     normal = rng.normal(size=(2, 5, 3))
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     point, height = rng.normal(size=(2, 5, 3)), rng.uniform(0.0, 0.05, size=(2, 5))
-    found = raised(np.asarray(sample_table(point, normal)), height)
+    found = raise_skin(np.asarray(sample_table(point, normal)), height)
     assert_allclose(found, sample_table(point + height[..., None] * normal, normal), rtol=0.0, atol=1e-15)
 
 
@@ -125,7 +125,7 @@ def test_an_outer_sleeve_rests_on_an_inner_one():
     one = frame(rest, 0, noise_m=0.0)
     skin = one.skin.astype(np.float32)
     inner, memory, _ = fold(made, None, replace(one, skin=skin), HELD)
-    ground = raised(skin, heights_over(inner, made.laid, memory.touched.own, skin))
+    ground = raise_skin(skin, heights_over(inner, made.laid, memory.touched.own, skin))
     outer, _, _ = fold(made, None, replace(one, skin=ground), HELD)
     radius = [np.linalg.norm(x[:, [0, 2]], axis=1) for x in (inner, outer)]
     # Neither at the rims nor at the wall.

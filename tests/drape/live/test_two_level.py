@@ -17,16 +17,16 @@ from drape.engine.library import LANES
 from drape.live.clock import PAUSE_S, Frame
 from drape.live.coarse_weights import NEAREST
 from drape.live.fold_constants import worn_cloth
-from drape.live.fold_step import FoldEffort
+from drape.live.fold_step import FoldEffort, compute_frame
 from drape.live.two_level import (
     FOLD_EDGES,
     LiftMemory,
     TwoLevel,
     TwoLevelMemory,
-    fold_two_level,
-    hanging,
+    hang_shares,
     one_level,
-    stiffened,
+    stiffen,
+    two_level_call,
 )
 from tests.drape.live.folds_setup import FAR_M
 from tests.drape.live.tank_setup import strain
@@ -41,17 +41,18 @@ EFFORT = FoldEffort(steps=1, settle=2, cloth_contact=True)
 def after(made: TwoLevel, first: Frame, count: int, effort: FoldEffort = EFFORT):
     memory, found = None, []
     for number in range(count):
-        vertices, memory, report = fold_two_level(made, memory, replace(first, time_s=number / 30.0), effort)
+        vertices, memory, report = made.fold(memory, replace(first, time_s=number / 30.0), effort)
         found.append((vertices, memory, report))
     return found
 
 
 def test_without_steps_the_drape_is_the_networks(tank: TwoLevel, still: Frame):
     """Nothing is carried and nothing added: what is lower than the clearance is lifted, the rest stays."""
-    vertices, memory, report = fold_two_level(tank, None, still, FoldEffort(0, clearance_m=0.0))
+    call = two_level_call(tank.levels, None, still.time_s)
+    vertices, memory, report = compute_frame(call, still, FoldEffort(0, clearance_m=0.0))
     assert_allclose(vertices, still.vertices, atol=1e-6)
     assert report.settled and np.array_equal(memory.fine[tank.levels.fine.sheet.place], vertices)
-    lifted, _, told = fold_two_level(tank, None, still, FoldEffort(0, clearance_m=0.004))
+    lifted, _, told = compute_frame(call, still, FoldEffort(0, clearance_m=0.004))
     way = np.linalg.norm(lifted - still.vertices, axis=1)
     assert_allclose(told.lifted_max_m, way.max(), rtol=1e-3)
     assert 0.0 < told.lifted_share < 1.0
@@ -95,9 +96,9 @@ def test_edges_of_a_coarse_cloth_resolve_folds_of_its_weight_where_it_hangs(name
     garment, body = shipped("circle_skirt"), load_body()
     worn = worn_cloth(garment, body, fabric(name))
     cloth, material = worn.cloth, worn.material
-    hangs = hanging(garment.vertices[: cloth.vertex_count].astype(float), body, worn.index)
+    hangs = hang_shares(garment.vertices[: cloth.vertex_count].astype(float), body, worn.index)
     free = hangs[cloth.hinge_index.reshape(4, -1)].mean(axis=0)
-    made, real = stiffened(worn, hangs), cloth.hinge_weight > 0.0
+    made, real = stiffen(worn, hangs), cloth.hinge_weight > 0.0
     rigidity = material.bending_j * made.cloth.hinge_weight[real] / cloth.hinge_weight[real]
     off, on = free[real] > 0.999, free[real] == 0.0
     assert off.mean() > 0.05 and on.mean() > 0.05 and made.material == material
@@ -105,13 +106,13 @@ def test_edges_of_a_coarse_cloth_resolve_folds_of_its_weight_where_it_hangs(name
     length = (rigidity / (material.density_kg_m2 * material.gravity_m_s2)) ** (1.0 / 3.0)
     assert_allclose(length[off], FOLD_EDGES * cloth.mean_edge_m, rtol=1e-3)
     stiff = replace(worn, material=replace(material, bending_j=1.0))
-    assert_array_equal(stiffened(stiff, hangs).cloth.hinge_weight, cloth.hinge_weight)
+    assert_array_equal(stiffen(stiff, hangs).cloth.hinge_weight, cloth.hinge_weight)
 
 
 def test_nothing_round_trunk_and_arms_hangs(tank: TwoLevel):
     garment, body = shipped("sweat"), load_body()
     vertices = garment.vertices[: garment.vertex_count].astype(float)
-    hangs = hanging(vertices, body, worn_cloth(garment, body).index)
+    hangs = hang_shares(vertices, body, worn_cloth(garment, body).index)
     assert hangs[vertices[:, 1] > np.quantile(vertices[:, 1], 0.3)].max() < 0.05
 
 
@@ -158,7 +159,7 @@ def test_fine_folds_are_carried_on_by_the_coarse_cloth_and_fade(tank: TwoLevel, 
     about = Rotation.from_rotvec([0.1, 0.3, -0.1]).as_matrix()
     bent = still.vertices * [1.0, 1.0, 1.05] @ about.T
     later = replace(still, vertices=bent.astype(np.float32), time_s=memory.coarse.time_s + 1.0 / 30.0)
-    kept, faded, report = fold_two_level(tank, memory, later, EFFORT._replace(steps=0, clearance_m=0.0))
+    kept, faded, report = tank.fold(memory, later, EFFORT._replace(steps=0, clearance_m=0.0))
     assert not report.settled
     lies = coarse_places(tank, faded)
     wanted = carried(tank, memory, bent, lies, np.exp(-1.0 / 30.0 / FADE_S))
@@ -169,7 +170,7 @@ def test_fine_folds_are_carried_on_by_the_coarse_cloth_and_fade(tank: TwoLevel, 
 @pytest.mark.parametrize(("way_m", "kept"), [(-0.03, False), (-0.01, True), (0.03, True)])
 def test_cloth_that_came_through_the_skin_is_laid_back(tank: TwoLevel, still: Frame, way_m: float, kept: bool):
     """Cloth that lies behind its sample, where the network has it before the skin, begins at the network's place."""
-    _, memory, _ = fold_two_level(tank, None, still, EFFORT)
+    _, memory, _ = tank.fold(None, still, EFFORT)
     place, coarse = tank.levels.coarse.sheet.place, memory.coarse
     network, own = coarse.network[place].astype(np.float64), coarse.touched.own[place]
     normal = still.skin.reshape(-1, 8)[own, 4:7].astype(np.float64)
@@ -177,7 +178,7 @@ def test_cloth_that_came_through_the_skin_is_laid_back(tank: TwoLevel, still: Fr
     residual[place] = np.einsum("vij,vj->vi", surface_frames(network, tank_below()[1]), way_m * normal)
     moved = replace(memory, coarse=replace(coarse, residual=residual))
     later = replace(still, time_s=1.0 / 30.0)
-    _, after_it, _ = fold_two_level(tank, moved, later, EFFORT._replace(steps=0, clearance_m=0.0))
+    _, after_it, _ = tank.fold(moved, later, EFFORT._replace(steps=0, clearance_m=0.0))
     left = np.linalg.norm(after_it.coarse.residual[place], axis=1)
     near = np.linalg.norm(network - still.skin.reshape(-1, 8)[own, :3], axis=1) < 0.03
     assert near.sum() > 100
@@ -187,7 +188,7 @@ def test_cloth_that_came_through_the_skin_is_laid_back(tank: TwoLevel, still: Fr
 def test_a_frame_after_a_pause_begins_anew(tank: TwoLevel, still: Frame):
     *_, (_, memory, _) = after(tank, still, 3)
     late = replace(still, time_s=memory.coarse.time_s + 2.0 * PAUSE_S)
-    anew, _, report = fold_two_level(tank, memory, late, EFFORT)
+    anew, _, report = tank.fold(memory, late, EFFORT)
     assert report.settled
     assert_array_equal(anew, after(tank, late, 1)[0][0])
 
@@ -196,11 +197,11 @@ def test_what_is_no_fold_is_the_networks_drape(tank: TwoLevel, still: Frame):
     *_, (_, memory, _) = after(tank, still, 2)
     later, place = replace(still, time_s=2.0 / 30.0), tank.levels.fine.sheet.place
     far = replace(memory, fine=memory.fine + np.float32(2.0 * FAR_M))
-    vertices, begun, report = fold_two_level(tank, far, later, EFFORT._replace(steps=0))
+    vertices, begun, report = tank.fold(far, later, EFFORT._replace(steps=0))
     assert report.reset and not report.settled and np.array_equal(begun.fine[place], still.vertices)
     assert_array_equal(vertices, still.vertices)
     torn = replace(memory, coarse=replace(memory.coarse, residual=np.full_like(memory.coarse.residual, np.nan)))
-    vertices, _, report = fold_two_level(tank, torn, later, EFFORT)
+    vertices, _, report = tank.fold(torn, later, EFFORT)
     assert report.reset and report.settled
     assert_array_equal(vertices, after(tank, still, 1)[0][0])
 

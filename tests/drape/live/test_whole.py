@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.cloth.energies import ClothMesh, membrane
 from drape.cloth.problem import problem
-from drape.cloth.rest_state import flat
+from drape.cloth.rest_state import flat_rest
 from drape.engine.calls import call, call_with_scratch
 from drape.engine.library import LANES, empty_points
 from drape.live.fold_constants import WornCloth
@@ -47,7 +47,7 @@ def test_a_stretch_costs_what_the_matrix_says_less_the_shear():
     """Stretched along warp or weft K costs what the membrane does, and the shear's stiffness besides."""
     vertices, faces = grid()
     warp = np.tile([1.0, 0.0, 0.0], (len(faces), 1))
-    cloth = ClothMesh.of(flat(vertices, faces, warp), faces, len(vertices))
+    cloth = ClothMesh.of(flat_rest(vertices, faces, warp), faces, len(vertices))
     material = MATERIALS["denim"]
     matrix = stiffness(cloth, material, np.zeros(len(vertices))).toarray()
     assert_allclose(matrix, matrix.T, rtol=0.0, atol=1e-12 * matrix.max())

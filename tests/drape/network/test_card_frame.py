@@ -26,8 +26,8 @@ from drape.live.card_lanes import Lanes
 from drape.live.two_level import TwoLevel
 from drape.motion.readers import read_motion
 from drape.network.card_frame import FrameJob, draw_by_card
-from drape.network.card_memory import CardMemory, fetched
-from drape.network.frame import Drawn, FrameOutfit, Moment, Past, draw
+from drape.network.card_memory import CardMemory, to_processor
+from drape.network.frame import FrameOutfit, FrameResult, Moment, Past, draw
 from drape.stages import frame
 from drape.stages.network import Network
 from service.compute.drape_runtime import DrapeRuntime
@@ -78,7 +78,7 @@ class Beside:
 
     def __call__(
         self, outfit: FrameOutfit, pasts: Sequence[Past], at: Moment, vertices: np.ndarray, steps: np.ndarray
-    ) -> Drawn:
+    ) -> FrameResult:
         made = draw(outfit, pasts, at, vertices, steps)
         assert made is not None
         for backwards in (False, True):
@@ -88,7 +88,7 @@ class Beside:
             self._lane.wait_for(job)
             assert not self._lane.fault
             (found,) = job.drawn
-            assert isinstance(found, Drawn)
+            assert isinstance(found, FrameResult)
             assert job.steps.tobytes() == steps.tobytes()
             assert job.steps.size or job.vertices.tobytes() == vertices.tobytes()
             assert (found.reports, found.novelty) == (made.reports, made.novelty)
@@ -96,7 +96,7 @@ class Beside:
                 assert (found.low.tobytes(), found.step.tobytes()) == (made.low.tobytes(), made.step.tobytes())
             for card, engine in zip(found.pasts, made.pasts, strict=True):
                 for one, other in zip(card, engine, strict=True):
-                    assert numbers_of(fetched(one)) == numbers_of(other)
+                    assert numbers_of(to_processor(one)) == numbers_of(other)
         self.frames += 1
         self.names |= {getattr(past.folded, "name", "") for past in found.pasts}
         return made
@@ -168,9 +168,11 @@ class Streams:
             for own, step_s in zip(self._moments, steps_s, strict=True)
         ]
 
-    def by_engine(self, pasts: Sequence[Sequence[Past]], moments: list[list[Moment]]) -> tuple[list[Drawn], np.ndarray]:
+    def by_engine(
+        self, pasts: Sequence[Sequence[Past]], moments: list[list[Moment]]
+    ) -> tuple[list[FrameResult], np.ndarray]:
         """The frames and their vertices, by the engine."""
-        frames, vertices = list[Drawn](), np.empty((5, self.worn.vertex_count, 3), np.float32)
+        frames, vertices = list[FrameResult](), np.empty((5, self.worn.vertex_count, 3), np.float32)
         for past, own in zip(pasts, moments, strict=True):
             for at in own:
                 made = draw(self.worn, past, at, vertices[len(frames)])
@@ -241,7 +243,7 @@ def test_a_host_keeps_what_streams_leave_five_times_a_second(streams: Streams, l
         times_s.append((past[0].swung.kept.time_s, past[0].folded.kept.coarse.time_s))  # pyright: ignore
     assert_allclose(times_s, np.repeat([[0.0], [0.2], [0.4]], [4, 4, 1], axis=0) * [1, 1])
     fails("cuMemcpyDtoH_v2")
-    assert fetched(past[0].folded).coarse.time_s == fetched(past[0].swung).time_s == times_s[-1][0]
+    assert to_processor(past[0].folded).coarse.time_s == to_processor(past[0].swung).time_s == times_s[-1][0]
 
 
 def test_what_streams_leave_is_given_back(streams: Streams, lane: Lane):

@@ -16,7 +16,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.assets import load_body
-from drape.cloth import metrics
 from drape.errors import InputError, NotFound, TooLarge
 from drape.garment.cache import Garment
 from drape.inference.engine import Engine
@@ -30,6 +29,7 @@ from drape.wire.jets import unpack_jets
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
+from tests.fixtures.layers import through_pct
 from tests.fixtures.poses import random_motion, smooth_motion
 from tests.fixtures.serving import vertices_of
 from tests.fixtures.streams import raw_stream
@@ -53,7 +53,7 @@ def test_layers_come_one_after_the_other_and_out_of_each_other(client: httpx.Cli
     inner, outer = whole[:, :count], whole[:, count:]
     alone = [vertices_of(ask(client, garment=name)).astype(np.float64) for name in ("tube", "coat")]
     assert_array_equal(inner, alone[0])  # what lies over it does not move the innermost
-    before, after = metrics.through_pct(alone[1], inner, faces), metrics.through_pct(outer, inner, faces)
+    before, after = through_pct(alone[1], inner, faces), through_pct(outer, inner, faces)
     assert before.min() > 10.0, "must be through for the test to mean something"
     assert (after < 0.1 * before).all()  # triangles of 5 x 8 cm are coarser than the samples can follow
     assert float(response.headers["X-Drape-Pushed-Share"]) > 0.1

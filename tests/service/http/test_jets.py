@@ -12,8 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from websockets.exceptions import ConnectionClosed
 
 from drape.body.model import BodyModel
-from drape.cloth import metrics
-from drape.contact.projection import CLEARANCE_M, blended, push_in_parts
+from drape.contact.projection import CLEARANCE_M, blend_displacement, push_in_parts
 from drape.contact.skin import body_skin, posed_table
 from drape.errors import TooLarge
 from drape.garment.cache import Garment
@@ -34,6 +33,7 @@ from service.http.clip_jobs import RequestedClip
 from service.http.clip_routes import check_clip_size
 from service.http.schemas import ClipOptions
 from tests.fixtures.garments import ship
+from tests.fixtures.layers import through_pct
 from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import vertices_of
@@ -91,7 +91,7 @@ def test_pushed_jets_are_the_drape_and_what_charts_carry(body: BodyModel, tube: 
     for i, frame in enumerate(frames):
         drape = (bare[i] - frame.root)[None].astype(np.float32)
         parts = push_in_parts(drape, skin[i : i + 1], feed, CLEARANCE_M)
-        carried = blended(parts.coefficients, feed)[0].T[feed.vertex_slot]
+        carried = blend_displacement(parts.coefficients, feed)[0].T[feed.vertex_slot]
         furthest.append(np.abs(carried).max())
         assert np.linalg.norm(layout.positions(frame) - drape[0] - carried, axis=1).max() < 2.0 * QUANTISED_M
         assert frame.left_m == pytest.approx(float(parts.left_m[0]), abs=2e-5)
@@ -111,9 +111,9 @@ def test_an_outfit_of_jets_parts_into_its_garments(client: httpx.Client, tube: G
         parts = frame.layers([layout.patch_count for layout in layouts])
         inner, outer = (layout.vertices(part)[None] for layout, part in zip(layouts, parts, strict=True))
         assert np.abs(inner[0] - layouts[0].vertices(alone[i])).max() < 2.0 * QUANTISED_M
-        before = metrics.through_pct(bare[i : i + 1, 216:], bare[i : i + 1, :216], faces)
+        before = through_pct(bare[i : i + 1, 216:], bare[i : i + 1, :216], faces)
         assert before.min() > 10.0, "must be through for the test to mean something"
-        assert metrics.through_pct(outer, inner, faces).max() < 0.5 * before.min()
+        assert through_pct(outer, inner, faces).max() < 0.5 * before.min()
 
 
 @pytest.mark.parametrize(
