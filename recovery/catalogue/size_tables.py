@@ -88,7 +88,8 @@ def grade_sizes(
 def same_triangles(faces: np.ndarray, others: np.ndarray) -> bool:
     """Returns whether ``faces`` (F, 3) and ``others`` (F, 3) are the same triangles, in whatever order: a triangulation
     begins elsewhere on another processor."""
-    return np.array_equal(*(np.unique(np.sort(rows, axis=1), axis=0) for rows in (faces, others)))
+    ours, theirs = (np.unique(np.sort(rows, axis=1), axis=0) for rows in (faces, others))
+    return np.array_equal(ours, theirs)
 
 
 def let_designs_fall(

@@ -87,7 +87,7 @@ def mend_sheet(mesh: GarmentMesh) -> GarmentMesh:
         mesh = one_sheet(cut_branches(without_flat_faces(thin)))
     mesh = without_turned_hems(smooth_noise(orient_faces(mesh)))
     check_open(mesh, "a closed surface")
-    closing = close_holes(mesh, lambda one: plainly_hole(one, mesh))
+    closing = close_holes(mesh, lambda border: plainly_hole(border, mesh))
     check_open(closing.mesh, f"one that is closed once mended, with no border but holes ({closing.holes})")
     check_closed_round(closing.mesh)
     check_unworn(closing.mesh)
@@ -151,8 +151,7 @@ def one_sheet(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def orient_faces(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` with neighbours that agree in orientation, cut where a strip is twisted. Raises ``ScanFault``
-    for a mesh that cannot be cloth."""
+    """Returns ``mesh`` with faces that agree in orientation, cut at twists. Raises ``ScanFault`` for many twists."""
     turned, cuts = agreeing(mesh)
     if len(cuts) > TWISTED_SHARE * len(mesh.faces):
         raise ScanFault(
@@ -179,8 +178,8 @@ def without_turned_hems(mesh: GarmentMesh) -> GarmentMesh:
     strips = [strip for strip in strips if strip.any()]
     if not strips:
         return mesh
-    kept = with_used_vertices(mesh.take_faces(~np.any(strips, axis=0)))
-    return kept.noted(f"cut off {len(strips)} hems that are turned in, at their folds")
+    bare = with_used_vertices(mesh.take_faces(~np.any(strips, axis=0)))
+    return bare.noted(f"cut off {len(strips)} hems that are turned in, at their folds")
 
 
 def _strip(mesh: GarmentMesh, edge: Loop, normals: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -195,9 +194,8 @@ def _strip(mesh: GarmentMesh, edge: Loop, normals: np.ndarray, a: np.ndarray, b:
     strip = across & np.isin(piece, piece[np.isin(mesh.faces, edge.loop).any(axis=1) & across])
     area = meshes.face_areas(mesh.vertices, mesh.faces)
     wide = WIDE_SHARE * np.sqrt(area.sum())
-    if np.isin(edge.loop, mesh.faces[strip]).mean() < ALL_ROUND or area[strip].sum() > wide * (
-        edge.length + np.pi * wide
-    ):
+    most = wide * (edge.length + np.pi * wide)
+    if np.isin(edge.loop, mesh.faces[strip]).mean() < ALL_ROUND or area[strip].sum() > most:
         return np.zeros_like(strip)
     # The fold is longer than the edge. What leaves no fold, or more than one, is no hem.
     folds = [loop for loop in borders(mesh.take_faces(~strip)) if np.isin(loop.loop, mesh.faces[strip]).all()]
@@ -306,8 +304,7 @@ def thin_to_spacing(mesh: GarmentMesh, spacing: float) -> GarmentMesh:
     has_edge = np.bincount(edge_label, minlength=len(seeds)) > 0
     points[has_edge] = edge[has_edge]
     cells = label[faces]
-    cells = cells[(cells[:, 0] != cells[:, 1]) & (cells[:, 1] != cells[:, 2]) & (cells[:, 2] != cells[:, 0])]
-    cells = _once(cells)
+    cells = _once(cells[(np.diff(np.sort(cells, axis=1), axis=1) > 0).all(axis=1)])
     thin = replace(
         mesh,
         vertices=points,
@@ -379,8 +376,8 @@ def roughness(mesh: GarmentMesh) -> float:
 
 
 def smooth_noise(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` smoothed as by Taubin (1995) if its ``roughness`` is above ``NOISE``, otherwise as it is. Border
-    vertices are smoothed along their border only."""
+    """Returns ``mesh``, smoothed as by Taubin (1995) if its ``roughness`` is above ``NOISE``. Border vertices are
+    smoothed along their border only."""
     if roughness(mesh) <= NOISE:
         return mesh
     matrix = mesh_graphs.umbrella_laplacian(mesh.faces, len(mesh.vertices))
