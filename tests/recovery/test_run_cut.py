@@ -289,7 +289,7 @@ def test_panels_of_a_base_that_are_closed_to_a_ring_are_named():
 
 def test_a_target_with_a_collar_gets_one_and_what_has_no_room_is_left_out():
     pattern = BASES["tshirt"](default_measurements())
-    cut = Cut("tshirt", told=True, settings={}, differs=(), collar_m=0.08)
+    cut = Cut("tshirt", by_openings=True, settings={}, differs=(), collar_m=0.08)
     warnings: list[str] = []
     style, with_lines, made = style_pattern(NO_STYLE, cut, pattern, warnings)
     assert cut.called == "tshirt" and replace(cut, base="patterns/own.json").called == "own.json"
