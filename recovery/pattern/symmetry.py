@@ -166,7 +166,8 @@ class FreeControls:
 
 
 def symmetrised(pattern: Pattern, symmetries: Symmetries) -> Pattern:
-    """Returns ``pattern`` with ``symmetries`` made exact: every panel the mean of its images, curves too."""
+    """Returns ``pattern`` with ``symmetries`` made exact: every panel is the mean of those that it is tied to, curves
+    too."""
     every = control_points(pattern, free_curves=True)
     pattern = _with_mean_arcs(pattern, symmetries)
     return with_controls(pattern, every, _mean_positions(every, pattern, symmetries))

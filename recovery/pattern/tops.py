@@ -57,10 +57,10 @@ class TopCut:
 
     ``length_m`` runs from the side of the neck to the hem, bands included. The shoulder's tip lies ``shoulder_out_m``
     beyond the joint and ``shoulder_drop_m`` below the neck. The armhole ends ``armhole_drop_m`` below the armpit and
-    hollows in by ``armhole_inset``, a share of the width from shoulder to side. The neck's half width is the body's and
-    ``neck_out_m``. Bands of a width of 0 are left out. ``flare_m`` widens each panel's half at the hem. A ``skirt_m``
-    > 0 cuts the garment that far below the armpit and gathers the rest by ``gather``. What is ``strapless`` ends where
-    armholes would, in an edge that is tight round the chest.
+    hollows in by ``armhole_inset``, a share of the width from shoulder to side. The neck's half width is the body's
+    plus ``neck_out_m``. Bands of a width of 0 are left out. ``flare_m`` widens each panel's half at the hem. A
+    ``skirt_m`` > 0 cuts the garment that far below the armpit and gathers the rest by the share ``gather``. What is
+    ``strapless`` ends where armholes would, in an edge that is tight round the chest.
     """
 
     name: str

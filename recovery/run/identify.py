@@ -28,10 +28,11 @@ WEAKEST = 3  # shapes that get a sentence
 class Identifiability:
     """How well a target determines the M shapes of a pattern that the symmetries leave free.
 
-    ``cloth`` (M,): singular values of dX/dy, how far the cloth moves [m per m of shape], root mean square, falling.
-    ``seen`` (M,): the same for what the target shows, rising. ``modes`` (M, K, 2): the moves of the K control points
-    that belong to ``seen``, each of unit length. ``slack_m`` [m] (K,): the farthest that each control point can go
-    while the surface changes by no more than ``tolerance_m`` [m], at most ``CAP_M``.
+    ``cloth`` (M,): singular values of the derivative of the drape by the shape, that is how far the cloth moves [m per
+    m], root mean square, falling. ``seen`` (M,): the same for what the target shows of that, rising. ``modes`` (M, K,
+    2): the moves of the K control points that belong to ``seen``, each of unit length. ``slack_m`` [m] (K,): the
+    farthest that each control point can go while the surface changes by no more than ``tolerance_m`` [m], at most
+    ``CAP_M``.
     """
 
     cloth: np.ndarray

@@ -48,7 +48,8 @@ HEADS = ("cut", "from the target, mean", "Chamfer", "seams differ by", "sewn ane
 
 
 def key_figures(outcome: Outcome) -> tuple[str, ...]:
-    """Returns the figures of the page's first table as texts, one for each of ``HEADS``."""
+    """Returns the figures of the page's first table as texts: cut, distances, seams and minutes, one for each of
+    ``HEADS``."""
     top = top_of(outcome)
     return (
         top["cut"].split(". ")[0],  # the sentences stand below, before cutting

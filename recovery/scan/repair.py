@@ -73,7 +73,7 @@ def read_target(path: Path, *, label: str | None = None) -> GarmentMesh:
 
 def mend_sheet(mesh: GarmentMesh) -> GarmentMesh:
     """Returns ``mesh`` as one connected sheet: every edge has one face or two, neighbours agree in orientation, plain
-    holes and bites are closed.
+    holes and bites (``bites_of``) are closed.
 
     Raises ``ScanFault`` or ``MeshError`` for what cannot be mended.
     """
@@ -236,8 +236,8 @@ def check_unworn(mesh: GarmentMesh) -> None:
 
 
 class ScanFault(MeshError):
-    """A refusal of a scan with a fault that cannot be repaired safely. ``points`` (P, 3) are its places on the
-    ``mesh``, in the mesh's coordinates."""
+    """The refusal of a scan with a fault that cannot be repaired safely. ``points`` (P, 3) are its places on the
+    ``mesh``, in the mesh's coordinates; there are none until ``at`` sets them."""
 
     mesh: GarmentMesh | None = None
     points: np.ndarray = np.zeros((0, 3))
