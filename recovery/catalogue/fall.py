@@ -26,7 +26,7 @@ from drape.geometry.triangle_pairs import pairs_within
 from recovery import progress
 from recovery.pattern.design import Design
 from recovery.pattern.pattern_mesh import PatternMesh
-from recovery.sim.cloth_model import ClothModel, ClothState, Parameters
+from recovery.sim.cloth_model import ClothModel, Parameters
 from recovery.sim.implicit import SpringForces, damped_step
 from recovery.sim.skin_contact import SignedDistance, SkinContact
 
@@ -143,25 +143,16 @@ class Fall:
 
         ``kept`` is the share of a step's speed that the next begins with.
         """
-        state = self.model.state(nodes)
-        move = np.inf
-        number = 0
+        state, move, number = self.model.state(nodes), np.inf, 0
+        longest_m = MOVE_SHARE * self.cloth.thickness_m
         while number < steps and move > still_m:
             progress.tick(f"falling, step {number + 1} of {steps}, {1e3 * move:.1f} mm in the last")
             number += 1
-            state, move = self._step(state, kept)
+            pairs = self.cloth.springs(state.x.numpy())
+            state, move = damped_step(
+                self.model, state, self.parameters, self.contact, kept=kept, longest_m=longest_m, pairs=pairs
+            )
         return Settled(state.x.numpy(), number, move)
-
-    def _step(self, state: ClothState, kept: float) -> tuple[ClothState, float]:
-        return damped_step(
-            self.model,
-            state,
-            self.parameters,
-            self.contact,
-            kept=kept,
-            longest_m=MOVE_SHARE * self.cloth.thickness_m,
-            pairs=self.cloth.springs(state.x.numpy()),
-        )
 
 
 # --- hems and folded seams -------------------------------------------------------------------------------------------

@@ -148,7 +148,6 @@ class RestDrape:
     are, those of a ``belt`` go with it.
 
     There is no friction, so the shape depends on the panels and not on the way there, as long as it stays in one basin.
-    ``drapes`` counts the calls.
     """
 
     def __init__(
@@ -168,14 +167,12 @@ class RestDrape:
         self.cloth = cloth
         self.parameters = self.model.parameters(mesh.rest, cloth)
         self.tolerance_n, self.iteration_limit = tolerance_n, iteration_limit
-        self.drapes = 0
 
     def __call__(self, rest: Tensor, near: np.ndarray) -> tuple[Tensor, Report]:
         """Nodes [m] (N, 3) for panel vertices ``rest`` [m] (P, 2), sought from ``near`` (N, 3), and how that ended.
 
         Differentiable by ``rest`` if the report says that it converged.
         """
-        self.drapes += 1
         x = self._laid(torch.from_numpy(np.ascontiguousarray(near)), rest)
         state, report = equilibrium(
             self.model,

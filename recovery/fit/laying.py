@@ -75,7 +75,6 @@ class LaidDrape(RestDrape):
 
     def __call__(self, rest: Tensor, near: np.ndarray) -> tuple[Tensor, Report]:
         """As ``RestDrape``, but for the derivative: that of the last step alone."""
-        self.drapes += 1
         stiffness = SPRINGS_N_M3[-1]
         x, moved, steps = torch.from_numpy(np.ascontiguousarray(near)), np.inf, 0
         given = self.parameters._replace(panels=rest)

@@ -30,7 +30,6 @@ GROWTH_M = {
     "calf_girth": 0.024,
     "arm_girth": 0.028,
     "wrist_girth": 0.012,
-    "neck_girth": 0.020,
     "neck_half_width": 0.003,
     "shoulder_x": 0.012,
     "underarm_y": -0.008,  # armholes deepen
@@ -52,9 +51,7 @@ class BodyMeasurements:
 
     neck_y: float
     neck_half_width: float
-    neck_girth: float
     shoulder_x: float
-    shoulder_y: float
     underarm_y: float
     chest_girth: float
     waist_y: float
@@ -149,9 +146,7 @@ def measure_body(body: BodyModel) -> BodyMeasurements:
     return BodyMeasurements(
         neck_y=float(place["neck"][1]),
         neck_half_width=0.5 * float(np.ptp(neck[:, 0])),
-        neck_girth=tape(neck),
         shoulder_x=float(shoulder[0]),
-        shoulder_y=float(across(float(shoulder[0]))[:, 1].max()),
         underarm_y=underarm_y,
         chest_girth=float(girths[heights > place["spine3"][1] + 0.05].max()),
         waist_y=float(heights[waist]),

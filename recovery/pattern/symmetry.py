@@ -217,18 +217,12 @@ def correspondence(controls: Controls, pattern: Pattern, symmetry: Symmetry) -> 
     return rows[:, 0], rows[:, 1]
 
 
-def _corner_mean(controls: Controls, panel: int, positions: np.ndarray) -> np.ndarray:
-    return positions[(controls.panel == panel) & (controls.handle == 0)].mean(axis=0)
-
-
 def _mean_positions(controls: Controls, pattern: Pattern, symmetries: Symmetries) -> np.ndarray:
     """Control points [m] (K, 2) that have the symmetries exactly, each panel about the mean of its own corners."""
-    positions = controls.positions.copy()
-    means = [_corner_mean(controls, panel, positions) for panel in range(len(pattern.panels))]
-    offsets = positions - np.array(means)[controls.panel]
-    return np.array(means)[controls.panel] + (_projection(controls, pattern, symmetries) @ offsets.reshape(-1)).reshape(
-        -1, 2
-    )
+    corners = [(controls.panel == panel) & (controls.handle == 0) for panel in range(len(pattern.panels))]
+    means = np.array([controls.positions[rows].mean(axis=0) for rows in corners])[controls.panel]
+    offsets = controls.positions - means
+    return means + (_projection(controls, pattern, symmetries) @ offsets.reshape(-1)).reshape(-1, 2)
 
 
 def _projection(controls: Controls, pattern: Pattern, symmetries: Symmetries) -> np.ndarray:

@@ -74,7 +74,7 @@ class SeenGarment:
             place = place_of(contour, self._chains)
             if place.part is None:
                 continue
-            here, there = self._point(self._chains, place.part, place.along_m), self._at_rest(place.part, place.along_m)
+            here, there = (self._point(chains, place.part, place.along_m) for chains in (self._chains, self._rest))
             root = 0.0
             if place.part.endswith("arm"):
                 side = place.part.split("_")[0]
@@ -101,9 +101,6 @@ class SeenGarment:
         point = self._point(self._chains, part, along - below)
         ahead = self._point(self._chains, part, along - below + 0.01)
         return girth_round(self._vertices, self._faces, point, ahead - point)
-
-    def _at_rest(self, part: str, along_m: float) -> np.ndarray:
-        return self._point(self._rest, part, along_m)
 
     def _point(self, chains: dict[str, tuple[np.ndarray, float]], part: str, along_m: float) -> np.ndarray:
         """The point (3,) of a part's bones ``along_m`` from its root."""
