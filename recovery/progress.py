@@ -113,8 +113,8 @@ def stage(name: str) -> Iterator[None]:
 
 @contextmanager
 def limit_share(share: float) -> Iterator[None]:
-    """Inside, the time limit of the innermost watch is its ``share`` of the whole limit; afterwards it is the whole
-    again."""
+    """Multiplies the time limit of the innermost watch by ``share`` for the work inside; does nothing where there is no
+    limit."""
     watch = _watches[-1] if _watches else None
     limit_s = watch.limit_s if watch is not None else None
     if watch is None or limit_s is None:

@@ -102,7 +102,8 @@ def let_designs_fall(
     report: Say,
     options: BuildOptions,
 ) -> dict[str, GradedSize]:
-    """Lets ``designs``, one for each size, fall on ``body``. Returns every size but M on the mesh ``fine`` of M.
+    """Lets ``designs``, one for each size, fall on ``body``. Returns for every size but M, by its name, its panels and
+    how far its cloth lies from M's, on the mesh ``fine`` of M.
 
     ``garment`` is size M as the service has it, ``skin`` the body's signed distance. ``report`` is called with a line
     on each fall.

@@ -42,7 +42,8 @@ class SewingOptions:
 
     ``grid_m`` [m] is the spacing of the grid that holds the body's distance. ``iteration_limit`` is that of Newton's
     method; 0 leaves the garment where the quasi-static steps end. Cloth rests ``off_skin_m`` [m] farther off the skin
-    than the contact's own gap. ``hangs_longer`` is the argument ``longer`` of ``hanging``.
+    than the contact's own gap. A metre of cloth stretches by its own weight by at least the share ``hangs_longer``
+    (``hanging``).
     """
 
     edge_length_m: float = 0.025

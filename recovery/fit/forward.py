@@ -185,11 +185,11 @@ class RestDrape:
         return state.x, report
 
     def begun(self, nodes: np.ndarray) -> np.ndarray:
-        """Returns the nodes [m] (N, 3) at which a search begins that starts from the drape ``nodes`` (N, 3): these."""
+        """Returns where a search begins, [m] (N, 3), that starts from the drape at ``nodes`` (N, 3): there."""
         return nodes
 
     def ended(self, mesh: PatternMesh, nodes: np.ndarray) -> np.ndarray:
-        """Returns the drape [m] (N, 3) of ``mesh`` after a search that ended at ``nodes`` (N, 3): these."""
+        """Returns where the cloth of ``mesh`` lies, [m] (N, 3), after a search has ended at ``nodes`` (N, 3): there."""
         return nodes
 
     def sensitivity(self, rest: Tensor, nodes: np.ndarray, moves: np.ndarray) -> np.ndarray:

@@ -64,8 +64,8 @@ def is_laid(pattern: Pattern, parts: Sequence[str | None]) -> bool:
 
 
 class LaidDrape(RestDrape):
-    """The drape of ``mesh`` on ``body``, drawn to the ``target`` by springs, as a function of panel vertices; otherwise
-    as ``RestDrape``."""
+    """The drape of ``mesh`` on ``body``, drawn to the ``target`` by springs, as a function of panel vertices. Nothing
+    holds it but the body and the springs."""
 
     def __init__(
         self, mesh: PatternMesh, body: SignedDistance, cloth: OrthotropicMaterial, target: TargetSurface
@@ -97,7 +97,8 @@ class LaidDrape(RestDrape):
         return x.numpy()
 
     def ended(self, mesh: PatternMesh, nodes: np.ndarray) -> np.ndarray:
-        """Returns the drape [m] (N, 3) of ``mesh`` that ``let_fall`` reaches without springs from ``nodes`` (N, 3)."""
+        """Returns where the cloth of ``mesh`` lies, [m] (N, 3), after it has fallen from ``nodes`` (N, 3) without
+        springs until it is still (``let_fall``)."""
         return let_fall(mesh, nodes, self.contact.body, self.cloth).nodes
 
     def _step(self, x: Tensor, parameters: Parameters, stiffness: float) -> Tensor:
@@ -238,22 +239,22 @@ class Dressing:
 
 
 def hung_as(draped: Draped, shown: Shown, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
-    """Returns ``draped`` with its nodes laid where ``shown`` lies, a drape of the same pattern on another mesh, and let
-    fall from there."""
+    """Returns ``draped`` put where ``shown`` lies, a drape of the same pattern on another mesh, and fallen from there
+    until it is still (``let_fall``)."""
     return let_go(_placed_as(draped, shown), skin, cloth)
 
 
 def hung_at_rest(draped: Draped, shown: Shown, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
-    """Returns ``hung_as`` of the same arguments brought to rest without friction, as garments are that do not
-    gather."""
+    """Returns ``draped`` put where ``shown`` lies, a drape of the same pattern on another mesh, fallen from there
+    (``let_fall``), and brought to rest without friction, as garments are that do not gather."""
     hung, forward = hung_as(draped, shown, skin, cloth), RestDrape(draped.mesh, skin, cloth)
     state, report = to_rest(forward.model, forward.model.state(hung.nodes), forward.parameters, forward.contact)
     return _lying(hung, SettledDrape(state.x.numpy(), draped.rest.held, report, 0))
 
 
 def put_on(draped: Draped, shown: Shown, hold: Callable[[Draped], Draped]) -> Draped:
-    """Returns ``draped`` with its nodes laid where ``shown`` lies, a drape of the same pattern on another mesh, and
-    then its belt laid by ``hold``; ``draped`` itself where ``hold`` changes nothing."""
+    """Returns ``draped`` put where ``shown`` lies, a drape of the same pattern on another mesh, with its belt laid by
+    ``hold``. Where ``hold`` changes nothing there, ``draped`` itself is returned."""
     placed = _placed_as(draped, shown)
     worn = hold(placed)
     return draped if worn is placed else worn
@@ -271,8 +272,8 @@ def _placed_as(draped: Draped, shown: Shown) -> Draped:
 
 
 def let_go(draped: Draped, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
-    """Returns ``draped`` with its nodes where ``let_fall`` takes them. ``skin`` is the body's signed distance in its
-    pose."""
+    """Returns ``draped`` after it has fallen from where it lies until it is still (``let_fall``). ``skin`` is the
+    body's signed distance in its pose."""
     return _lying(draped, let_fall(draped.mesh, draped.nodes, skin, cloth))
 
 

@@ -99,10 +99,11 @@ def sew_and_dress(
     off_mm: Callable[[Draped], float] = lambda draped: 0.0,
     enough_mm: float = 0.0,
 ) -> DressedDrape:
-    """Returns ``pattern`` sewn from flat panels, and put on by ``dressing`` as ``shown`` lies, on the mesh that
-    ``drape_worn`` takes with the same options.
+    """Returns ``pattern`` sewn from flat panels, and put on by ``dressing`` as ``shown`` lies, on the best of several
+    meshes.
 
-    Raises ``InputError`` where it cannot be sewn.
+    ``rest``, ``off_mm`` and ``enough_mm`` say which that is, as in ``drape_worn``. Raises ``InputError`` where the
+    pattern cannot be sewn.
     """
     pairs: list[DressedDrape] = []
 
@@ -125,7 +126,8 @@ def needed_length(draped: Draped, options: SewingOptions) -> float:
 
 
 def drape_at_rest(pattern: Pattern, start: DrapeStart) -> Draped:
-    """Returns what ``drape_worn`` does. Raises ``InputError`` where that did not come to rest."""
+    """Returns a drape of ``pattern`` at rest with every part of the body in its opening, on the mesh that
+    ``drape_worn`` takes. Raises ``InputError`` where none comes to rest."""
     draped = drape_worn(pattern, start)
     if not draped.at_rest:
         left = max(drape.report.residual_n for drape in (draped.rest, draped.posed) if drape is not None)

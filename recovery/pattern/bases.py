@@ -196,8 +196,8 @@ def whole(value: float) -> int:
 
 
 def read_values(settings: Sequence[str], option: str = "--set") -> dict[str, float]:
-    """Returns ``settings`` of a command line, each NAME=NUMBER, as numbers by name. Raises ``InputError`` for other
-    text, in the name of ``option``."""
+    """Returns ``settings`` of a command line, each NAME=NUMBER, as numbers by name. Raises ``InputError``, which names
+    ``option``, for other text."""
     values = {}
     for setting in settings:
         key, _, text = setting.partition("=")

@@ -357,11 +357,11 @@ def _check_surface(pattern: Pattern, faces: np.ndarray, face_panel: np.ndarray, 
 
 
 def on_finer_mesh(coarse: PatternMesh, nodes: np.ndarray, fine: PatternMesh) -> np.ndarray:
-    """Returns for each node of ``fine`` what ``nodes`` (M, 3), values at the nodes of ``coarse``, are at its place in
-    the panels: positions or moves [m] (N, 3), linear in the triangles of ``coarse``.
+    """Returns ``nodes`` (M, 3), positions or moves [m] of the nodes of ``coarse``, interpolated in its triangles at the
+    nodes of ``fine``: (N, 3).
 
-    A panel of ``coarse`` may have been cut in ``fine``. The rest of it then has its name, and the parts have its frame
-    and names that begin with its own.
+    Places are those in the flat panels. A panel of ``coarse`` may have been cut in ``fine``. The rest of it then has
+    its name, and the parts have its frame and names that begin with its own.
     """
     there, here = ([panel.name for panel in mesh.pattern.panels] for mesh in (coarse, fine))
     whole = [_whole(name, there) for name in here]

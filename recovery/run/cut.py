@@ -242,8 +242,8 @@ def collarless(
 
 
 def panel_count(base: str, shown: int | None) -> dict[str, float]:
-    """Returns the setting ``panels`` of a skirt whose texture shows more than two gores, ``shown`` of them, by its
-    name; empty for another base, for two gores, and where a skirt has no such number."""
+    """Returns {"panels": ``shown``} for a skirt whose texture shows 3 to ``MOST_PANELS`` gores, as settings of its
+    base; otherwise empty."""
     return {COUNT: float(shown)} if base == "skirt" and shown is not None and 2 < shown <= MOST_PANELS else {}
 
 

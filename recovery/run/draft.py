@@ -79,8 +79,8 @@ def draft_near(
 
 
 def own_settings(name: str, body: BodyMeasurements, readings: dict[str, float]) -> dict[str, float]:
-    """Returns by name the values that the base ``name`` has for the settings in ``readings``. Where it has none, an
-    inseam ends at the ankles, and a girth of the knee is that of ``readings``."""
+    """Returns the values by name that the base ``name`` has by itself for the settings in ``readings``. Where it has
+    None, that is an inseam to the ankles, or the knee's girth of ``readings``."""
     cut = BASES[name].cut
     ankles = body.crotch_y - body.ankle_y  # an inseam of None
     settings = {}

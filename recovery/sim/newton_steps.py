@@ -263,8 +263,8 @@ def equilibrium(
     tolerance_n: float = TOLERANCE_N,
     iteration_limit: int = ITERATION_LIMIT,
 ) -> tuple[ClothState, Report]:
-    """Returns a drape at rest near ``state``, without friction and velocities, and how the solve ended; differentiable
-    as ``newton_step``."""
+    """Returns a drape at rest near ``state``, without friction and with velocities of zero, and how the solve ended.
+    Differentiable once, as ``newton_step`` is."""
     drape = Minimum(model, contact, dt_s=None, tolerance_n=tolerance_n, iteration_limit=iteration_limit)
     x = _held(model, implicit_solution(drape, state, parameters), state)
     return ClothState(x, torch.zeros_like(x)), drape.report
