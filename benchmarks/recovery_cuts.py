@@ -134,7 +134,7 @@ def recover_job(job: RecoveryJob, told: Callable[[Cut | None, int], str], pictur
         "anew_mm": top["sewn_anew_mm"],
         "sewn_mm": top["sewn_from_target_mm"],
         "cut": top["cut"],
-        "rounds": len(outcome.found.rounds),
+        "rounds": len(outcome.recovered.rounds),
         "minutes": top["minutes"],
         **spent,
         "refused": "",
@@ -159,7 +159,7 @@ def tile_of(outcome: Outcome) -> bytes:
     """A PNG of the target, and below it of what was recovered, from the front."""
     skin = outcome.task.wearer.skin
     there = MeshArrays(outcome.task.mesh.vertices, outcome.task.mesh.faces)
-    found = MeshArrays(outcome.nodes, outcome.found.search.mesh.faces)
+    found = MeshArrays(outcome.nodes, outcome.recovered.search.mesh.faces)
     return target_above_result(there, found, MeshArrays(skin.vertices - outcome.task.wearer.trans, skin.faces), TILE)
 
 

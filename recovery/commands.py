@@ -14,7 +14,7 @@ NOT_AT_REST_EXIT_CODE = 3
 
 
 def parser_of(module: str, text: str | None) -> argparse.ArgumentParser:
-    """The parser of ``python -m MODULE``; its help begins with ``text``, line by line."""
+    """Returns a parser called ``python -m MODULE``; its help begins with ``text``, whose lines stay as they are."""
     raw = argparse.RawDescriptionHelpFormatter
     return argparse.ArgumentParser(prog=f"python -m {module}", description=text, formatter_class=raw)
 
@@ -33,14 +33,14 @@ def add_style_options(parser: argparse.ArgumentParser) -> None:
 
 
 def style_of(given: argparse.Namespace) -> Style:
-    """Returns the style that the options of ``add_style_options`` ask for. Raises ``InputError`` for text that is not a
-    width.
-    """
+    """Returns the style that the parsed options of ``add_style_options`` ask for. Raises ``InputError`` for text that
+    is not NAME=WIDTH."""
     return Style(read_values(given.style, "--style"), given.whole_sleeves, given.whole_bands)
 
 
 def end_command(files: Iterable[Path], not_at_rest: str) -> int:
-    """Prints ``files`` and returns the exit code: 0, or 3 after a sentence on what is ``not_at_rest``."""
+    """Prints the paths ``files``, and on standard error ``not_at_rest``, a sentence on cloth that is not at rest.
+    Returns the exit code: 0 if that sentence is empty, else 3."""
     for path in files:
         print(path)
     if not_at_rest:

@@ -18,7 +18,9 @@ Say = Callable[[str], None]
 
 
 class Watch:
-    """A clock with a stage and its detail; ``limit_s`` None is no limit. ``write`` takes a line."""
+    """The progress of a piece of work: the current ``stage``, a ``detail`` of it in words, and the time since the
+    start. ``write`` gets lines of progress, mostly one in ``every_s`` [s]. ``limit_s`` [s] is the work's time limit,
+    None for none."""
 
     def __init__(self, write: Say, *, limit_s: float | None = None, every_s: float = EVERY_S) -> None:
         self.write, self.limit_s, self.every_s = write, limit_s, every_s
@@ -29,29 +31,29 @@ class Watch:
 
     @property
     def elapsed_s(self) -> float:
-        """Seconds [s] since the start."""
+        """Time [s] since the start."""
         return time.monotonic() - self.started
 
     @property
     def over(self) -> bool:
-        """Whether the limit has passed."""
+        """Whether the time limit has passed. The first time, ``stopped_in`` takes the current stage."""
         ended = self.limit_s is not None and self.elapsed_s >= self.limit_s
         if ended and not self.stopped_in:
             self.stopped_in = self.stage
         return ended
 
     def tick(self, detail: str = "") -> None:
-        """Notes how far the stage is; writes a line if the last one is ``every_s`` old."""
+        """Sets the ``detail`` of the current stage; writes a line if the last one is ``every_s`` old."""
         self.detail = detail
         self.speak_if_due()
 
     def enter(self, stage: str) -> None:
-        """Says that ``stage`` begins, in a line if one is due."""
+        """Makes ``stage`` the current one, without a detail; writes a line if the last one is ``every_s`` old."""
         self.stage, self.detail = stage, ""
         self.speak_if_due()
 
     def speak_if_due(self) -> None:
-        """Writes where the work is, unless a line came within ``every_s``."""
+        """Writes a line with time [s], stage and detail if the last one is ``every_s`` old."""
         with self._lock:
             now = time.monotonic()
             if now - self.spoken < self.every_s:
@@ -71,7 +73,11 @@ def to_stderr(line: str) -> None:
 
 @contextmanager
 def watched(*, write: Say = to_stderr, limit_s: float | None = None, every_s: float = EVERY_S) -> Iterator[Watch]:
-    """Watches the work inside: at most about ``every_s`` [s] pass without a line, and ``over`` is true at the limit."""
+    """Yields the ``Watch`` of the work inside.
+
+    A thread makes it write in long loops, so that at most about 1.5 ``every_s`` [s] pass without a line. ``over`` is
+    true from ``limit_s`` [s] on.
+    """
     watch, done = Watch(write, limit_s=limit_s, every_s=every_s), threading.Event()
 
     def speak() -> None:
@@ -91,7 +97,8 @@ def watched(*, write: Say = to_stderr, limit_s: float | None = None, every_s: fl
 
 @contextmanager
 def stage(name: str) -> Iterator[None]:
-    """Calls the work inside ``name``; the stage around it goes on after it."""
+    """Names the stage of the work inside ``name``, in the innermost watch; afterwards stage and detail are those of
+    before."""
     if not _watches:
         yield
         return
@@ -106,7 +113,8 @@ def stage(name: str) -> Iterator[None]:
 
 @contextmanager
 def limit_share(share: float) -> Iterator[None]:
-    """Inside, the limit ends after ``share`` of the whole time, so that the rest is left for what follows."""
+    """Multiplies the time limit of the innermost watch by ``share`` for the work inside; does nothing where there is no
+    limit."""
     watch = _watches[-1] if _watches else None
     limit_s = watch.limit_s if watch is not None else None
     if watch is None or limit_s is None:
@@ -120,11 +128,12 @@ def limit_share(share: float) -> Iterator[None]:
 
 
 def tick(detail: str = "") -> None:
-    """Tells the watch around, if there is one, how far its stage is."""
+    """Sets the ``detail`` of the current stage in the innermost watch, which may write a line; does nothing without a
+    watch."""
     if _watches:
         _watches[-1].tick(detail)
 
 
 def over() -> bool:
-    """Whether the time of the work is up: a loop then ends with the best it has."""
+    """Whether the time limit of the innermost watch has passed; False without a watch."""
     return bool(_watches) and _watches[-1].over

@@ -52,7 +52,8 @@ def _parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 @refusing
 @watched()
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command and returns its exit code: 2 with a sentence if input is refused, 3 if cloth is not at rest."""
+    """Runs the command and returns its exit code: 0, or with a sentence 2 for refused input and 3 for cloth that is not
+    at rest."""
     given = _parse(arguments)
     if given.command == "list":
         measurements = measure_body(load_body())
@@ -69,18 +70,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     designs = {name: design(name, measurements, given.size) for name in given.names or CATALOGUE}
     skin = body_distance(body, options)
     moving = []
-    for name, one in designs.items():
+    for name, drafted in designs.items():
         called = name if given.size == "M" else f"{name}_{given.size.lower()}"
-        print(f"--- {called}, {one.fabric}")
-        garment = drape_design(one, skin, options, report=print)
+        print(f"--- {called}, {drafted.fabric}")
+        garment = drape_design(drafted, skin, options, report=print)
         paths = write_garment(garment, given.out, name=called, size=given.size, body=body.name)
         print(*paths, sep="\n")
         if given.garments is not None:
             intake(paths[0], avatar="standard", body=body, folder=given.garments, report=print)
         if not garment.at_rest:
             moving.append(f"{called} by {garment.figures['last_move_mm']:.2f} mm")
-    told = f"not at rest, the last step moved a node of {', '.join(moving)}. Leave out --quick, or take another size."
-    return end_command([], told if moving else "")
+    words = f"not at rest, the last step moved a node of {', '.join(moving)}. Leave out --quick, or take another size."
+    return end_command([], words if moving else "")
 
 
 def _grade(names: Sequence[str], folder: Path) -> int:

@@ -39,7 +39,9 @@ OVER_GAP_M = 0.032  # that panels over others keep from the skin while they are 
 
 @dataclass(frozen=True)
 class BuildOptions:
-    """Lengths [m] of both meshes' edges, the most steps on each, and the move in a step that counts as rest."""
+    """The options of a build: lengths ``coarse_m`` and ``fine_m`` [m] of both meshes' edges, the most steps on each,
+    the moves ``coarse_still_m`` and ``still_m`` [m] in a step that count as rest, and the spacing ``grid_m`` [m] of the
+    body's distance."""
 
     coarse_m: float = 0.025
     fine_m: float = 0.0115  # the mean edge of a mesh is 3 % longer
@@ -55,7 +57,8 @@ QUICK = BuildOptions(coarse_m=0.06, fine_m=0.045, coarse_steps=12, fine_steps=4,
 
 @dataclass(frozen=True, eq=False)
 class SewnGarment:
-    """``nodes`` [m] (N, 3) of ``mesh`` at rest on the body in its T-pose, and ``figures`` on how it went."""
+    """A sewn ``design``: ``nodes`` [m] (N, 3) of its ``mesh`` at rest on the body in its T-pose, and ``figures`` by
+    name on how it went, for JSON."""
 
     design: Design
     mesh: PatternMesh
@@ -69,40 +72,45 @@ class SewnGarment:
 
 
 def body_distance(body: BodyModel, options: BuildOptions = BuildOptions()) -> GridDistance:
-    """The signed distance of ``body`` in its rest pose. It takes seconds and serves all garments."""
+    """Returns the signed distance of ``body`` in its rest pose. It takes seconds and serves all garments."""
     return GridDistance.from_mesh(body.v_template, body.faces, spacing_m=options.grid_m)
 
 
 def design(name: str, body: BodyMeasurements, size: str = "M") -> Design:
-    """Returns the catalogue's garment ``name`` drafted in ``size``. ``body`` are the measurements of the body that size
-    M fits. Raises ``NotFound`` for a garment or a size that the catalogue does not have."""
+    """Returns the catalogue's garment ``name`` drafted in ``size``, where ``body`` has the measurements of size M.
+
+    Raises ``NotFound`` for a garment or a size that the catalogue does not have.
+    """
     if name not in CATALOGUE:
         raise NotFound("garment", expected=f"one of {', '.join(CATALOGUE)}", got=name, cure="Check the name.")
     return CATALOGUE[name](in_size(body, size))
 
 
 def drape_design(
-    made: Design, skin: SignedDistance, options: BuildOptions = BuildOptions(), *, report: Say | None = None
+    design: Design, skin: SignedDistance, options: BuildOptions = BuildOptions(), *, report: Say | None = None
 ) -> SewnGarment:
-    """Sews the design ``made`` round the body whose signed distance is ``skin``, lets it fall, and returns it at rest.
+    """Returns ``design`` sewn round the body whose signed distance is ``skin``, fallen and at rest, as far as the steps
+    of the options allow.
 
-    Raises ``InputError`` for seams that do not match, for panels wider than the cloth, and for a garment that cannot
-    close round the body.
+    ``report`` gets lines on each step. Raises ``InputError`` for seams that do not match, for panels wider than the
+    cloth, and for a garment that cannot close round the body.
     """
     say = report or (lambda line: None)
-    check_seams(made)
-    check_laid_flat(made)
+    check_seams(design)
+    check_laid_flat(design)
     started = time.process_time()
     distance = in_numpy(skin)
-    cloth = fabric(made.fabric)
-    coarse = mesh_pattern(made.pattern, options.coarse_m)
-    sewn = sew_design(made, coarse, distance)
+    cloth = fabric(design.fabric)
+    coarse = mesh_pattern(design.pattern, options.coarse_m)
+    sewn = sew_design(design, coarse, distance)
     say(f"sewn      {coarse.node_count} nodes, seams within {1e3 * sewn.gap_m:.1f} mm")
-    first = Fall(made, coarse, cloth, skin).run(sewn.nodes, steps=options.coarse_steps, still_m=options.coarse_still_m)
+    first = Fall(design, coarse, cloth, skin).run(
+        sewn.nodes, steps=options.coarse_steps, still_m=options.coarse_still_m
+    )
     say(f"fell      {first.steps} steps, the last by {1e3 * first.move_m:.2f} mm")
-    fine = mesh_pattern(made.pattern, options.fine_m)
+    fine = mesh_pattern(design.pattern, options.fine_m)
     start = on_finer_mesh(coarse, first.nodes, fine)
-    last = Fall(made, fine, cloth, skin).run(start, steps=options.fine_steps, still_m=options.still_m, kept=SETTLING)
+    last = Fall(design, fine, cloth, skin).run(start, steps=options.fine_steps, still_m=options.still_m, kept=SETTLING)
     seconds = time.process_time() - started
     say(f"settled   {fine.node_count} nodes, {last.steps} steps, the last by {1e3 * last.move_m:.2f} mm")
     edges = meshes.unique_edges(fine.faces)
@@ -110,7 +118,7 @@ def drape_design(
     figures = {
         "nodes": fine.node_count,
         "triangles": len(fine.faces),
-        "panels": len(made.pattern.panels),
+        "panels": len(design.pattern.panels),
         "edge_mean_mm": round(1e3 * float(meshes.edge_lengths(last.nodes, edges).mean()), 2),
         "seam_gap_mm": round(1e3 * sewn.gap_m, 2),
         "steps": [first.steps, last.steps],
@@ -120,11 +128,12 @@ def drape_design(
         **stretch_figures(stretch),
         "cpu_seconds": round(seconds, 1),
     }
-    return SewnGarment(made, fine, last.nodes, figures)
+    return SewnGarment(design, fine, last.nodes, figures)
 
 
 def start_positions(design: Design, mesh: PatternMesh, distance: Distance) -> np.ndarray:
-    """Panel vertices [m] (P, 3) before sewing: wraps round their limbs, flat panels moved outward until clear."""
+    """Returns where panel vertices begin before sewing, [m] (P, 3): bent panels round their limbs, flat ones moved
+    outward until clear of the body."""
     positions = move_clear(mesh, mesh.placed(), distance, leave=design.wraps)[0]
     for number, panel in enumerate(design.pattern.panels):
         if panel.name in design.wraps:
@@ -147,12 +156,14 @@ def sew_design(design: Design, mesh: PatternMesh, distance: Distance) -> Sewn:
 
 
 def edge_kind(name: str) -> str:
-    """ "hem" for an edge that is turned up, "opening" for one that is bound or banded, "free" for any other."""
+    """Returns the kind of an edge by its name: "hem" if it is turned up, "opening" if it is bound or banded, "free" for
+    any other."""
     return next((kind for kind in ("hem", "opening") if name.startswith(kind)), "free")
 
 
 def sewing(garment: SewnGarment, *, name: str, size: str, body: str) -> Sewing:
-    """Returns the content of ``NAME.json`` for ``garment`` in ``size`` on ``body``."""
+    """Returns the seams, free edges, fabric and figures of ``garment`` in ``size`` on ``body``, which NAME.json
+    holds."""
     design, mesh = garment.design, garment.mesh
     seams = []
     for number, (stitch, seam) in enumerate(zip(design.pattern.stitches, design.seam_names, strict=True)):
@@ -187,6 +198,6 @@ def sewing(garment: SewnGarment, *, name: str, size: str, body: str) -> Sewing:
 def write_garment(garment: SewnGarment, folder: Path, *, name: str, size: str, body: str) -> list[Path]:
     """Writes ``NAME.obj``, ``NAME.glb`` and ``NAME.json`` to ``folder`` and returns their paths."""
     texture = panel_texture(garment.mesh, unit_m=1.0)
-    told = json.dumps(sewing(garment, name=name, size=size, body=body).to_json(), indent=1) + "\n"
-    path = write_whole(folder / f"{name}.json", told)
+    text = json.dumps(sewing(garment, name=name, size=size, body=body).to_json(), indent=1) + "\n"
+    path = write_whole(folder / f"{name}.json", text)
     return [*write_shape(folder, name, garment.mesh, garment.nodes, texture), path]

@@ -26,7 +26,7 @@ from drape.geometry.triangle_pairs import pairs_within
 from recovery import progress
 from recovery.pattern.design import Design
 from recovery.pattern.pattern_mesh import PatternMesh
-from recovery.sim.cloth_model import ClothModel, ClothState, Parameters
+from recovery.sim.cloth_model import ClothModel, Parameters
 from recovery.sim.implicit import SpringForces, damped_step
 from recovery.sim.skin_contact import SignedDistance, SkinContact
 
@@ -36,12 +36,18 @@ HEM_M = 0.02  # turned up this far
 HEM_BENDING = 2.0  # two layers that slide on each other
 SKIN_GAP_M = 0.0075  # beyond what intake keeps garments off the skin by
 LAYERS_SHARE = 0.4  # of the mean edge: layers of cloth stay this far apart
-FALLING, SETTLING = 0.9, 0.5  # share of one step's speed that is kept in the next: air and yarns, and more of it
-MOVE_SHARE = 0.6  # of that distance in one step at most: two layers that meet must not pass
+# Share of one step's speed that the next begins with: air and yarns take the rest. Settling cloth is damped more.
+FALLING, SETTLING = 0.9, 0.5
+MOVE_SHARE = 0.6  # of the distance between layers in one step at most: two that meet must not pass each other
 
 
 class Near(NamedTuple):
-    """Pairs of four ``nodes`` (n, 4) with ``weights`` (n, 4) and unit ``normals`` (n, 3); ``gap_m`` (n,) along them."""
+    """Pairs of elements of cloth that are too near, each with four ``nodes`` (n, 4): a vertex and a triangle, or two
+    edges.
+
+    The way between their nearest points is the sum of the nodes' positions times ``weights`` (n, 4). It has the unit
+    direction ``normals`` (n, 3) and the length ``gap_m`` [m] (n,).
+    """
 
     nodes: np.ndarray
     weights: np.ndarray
@@ -50,7 +56,8 @@ class Near(NamedTuple):
 
 
 class SelfContact:
-    """Repulsion of cloth of ``faces`` (F, 3) from itself below ``thickness_m``; ``fixed`` (V,) nodes do not move.
+    """The repulsion of cloth of ``faces`` (F, 3) from itself below ``thickness_m`` [m]. Nodes ``fixed`` (V,), bool, do
+    not move.
 
     Elements that share a node, or whose nodes are joined by an edge, are never a pair.
     """
@@ -68,7 +75,7 @@ class SelfContact:
         self._keys = np.repeat(np.arange(self.count), np.diff(ring.indptr)) * self.count + ring.indices
 
     def springs(self, x: np.ndarray) -> SpringForces:
-        """The springs that push near pairs of nodes ``x`` [m] (V, 3) apart."""
+        """Returns the springs that push the near pairs of nodes at ``x`` [m] (V, 3) apart, zero at fixed nodes."""
         near = self.near(x)
         push = self.stiffness * (self.thickness_m - near.gap_m)
         along = near.weights[:, :, None] * near.normals[:, None]  # (n, 4, 3): derivative of the gap
@@ -82,7 +89,7 @@ class SelfContact:
         return SpringForces(torch.from_numpy(force), (gradient.T @ gradient).tocsc())
 
     def near(self, x: np.ndarray) -> Near:
-        """Pairs below the thickness at ``x`` (V, 3)."""
+        """Returns the pairs nearer than the thickness, nodes at ``x`` [m] (V, 3)."""
         pairs, weights, ways = pairs_within(np.ascontiguousarray(x), self.faces, self.edges, self.thickness_m)
         gap = np.linalg.norm(ways, axis=1)
         is_triangle = np.arange(len(gap)) < pairs.triangles
@@ -104,7 +111,8 @@ class SelfContact:
 
 @dataclass(frozen=True)
 class Settled:
-    """Nodes [m] (N, 3) at rest after ``steps``; ``move_m`` is the longest move of the last one."""
+    """The end of a fall: ``nodes`` [m] (N, 3), the number of ``steps``, and the longest move ``move_m`` [m] of a node
+    in the last one."""
 
     nodes: np.ndarray
     steps: int
@@ -112,8 +120,8 @@ class Settled:
 
 
 class Fall:
-    """A fall of the garment ``design`` on ``mesh``, made of ``fabric``, over the body whose signed distance is
-    ``skin``. The body alone holds it up; the nodes ``held`` (n,) stay where they are."""
+    """The simulation of the garment ``design`` on ``mesh``, made of ``fabric``, that falls over the body whose signed
+    distance is ``skin``. The nodes ``held`` (n,) stay where they are; nothing else but the body holds it up."""
 
     def __init__(
         self, design: Design, mesh: PatternMesh, fabric: Fabric, skin: SignedDistance, *, held: np.ndarray | None = None
@@ -130,38 +138,31 @@ class Fall:
         self.cloth = SelfContact(mesh.faces, self.model.fixed, thickness_m=LAYERS_SHARE * float(edges.mean()))
 
     def run(self, nodes: np.ndarray, *, steps: int, still_m: float, kept: float = FALLING) -> Settled:
-        """Falls from ``nodes`` [m] (N, 3) until no node moves more than ``still_m`` in a step, or for ``steps``.
+        """Lets the garment fall from ``nodes`` [m] (N, 3), and returns where it is when no node moves more than
+        ``still_m`` [m] in a step, or after ``steps``.
 
         ``kept`` is the share of a step's speed that the next begins with.
         """
-        state = self.model.state(nodes)
-        move = np.inf
-        number = 0
+        state, move, number = self.model.state(nodes), np.inf, 0
+        longest_m = MOVE_SHARE * self.cloth.thickness_m
         while number < steps and move > still_m:
             progress.tick(f"falling, step {number + 1} of {steps}, {1e3 * move:.1f} mm in the last")
             number += 1
-            state, move = self._step(state, kept)
+            pairs = self.cloth.springs(state.x.numpy())
+            state, move = damped_step(
+                self.model, state, self.parameters, self.contact, kept=kept, longest_m=longest_m, pairs=pairs
+            )
         return Settled(state.x.numpy(), number, move)
-
-    def _step(self, state: ClothState, kept: float) -> tuple[ClothState, float]:
-        return damped_step(
-            self.model,
-            state,
-            self.parameters,
-            self.contact,
-            kept=kept,
-            longest_m=MOVE_SHARE * self.cloth.thickness_m,
-            pairs=self.cloth.springs(state.x.numpy()),
-        )
 
 
 # --- hems and folded seams -------------------------------------------------------------------------------------------
 
 
 def hinge_bending(design: Design, mesh: PatternMesh, model: ClothModel, fabric: Fabric) -> np.ndarray:
-    """Rigidity [J] (H,) of the hinges by their direction to the grain; hems and bound openings count twice.
+    """Returns the bending rigidity [J] (H,) of the hinges by their direction to the grain, at a seam the mean of both
+    panels.
 
-    At a seam the mean of both panels.
+    Hems and bound openings are ``HEM_BENDING`` times as stiff.
     """
     edges = _hinge_edges(mesh, model)
     rigidity = np.mean([hinge_rigidity(fabric, bending_angle(edge)) for edge in edges], axis=0)
@@ -173,7 +174,7 @@ def hinge_bending(design: Design, mesh: PatternMesh, model: ClothModel, fabric: 
 
 
 def seam_angles(design: Design, mesh: PatternMesh, model: ClothModel) -> np.ndarray:
-    """Angle [rad] (H,) of every hinge at rest: zero except at folded seams."""
+    """Returns the angle [rad] (H,) of every hinge at rest: zero except at folded seams."""
     angles = np.zeros(len(model.hinge_nodes))
     for number, name in enumerate(design.seam_names):
         if name in design.seam_angles:

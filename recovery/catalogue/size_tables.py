@@ -41,13 +41,13 @@ from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern, on_finer_me
 from recovery.progress import Say
 from recovery.sim.skin_contact import SignedDistance
 
-Field = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # over points, from rows and their values
-# Each size falls from the one beside it.
+# From points (N, D), rows (A,) of these and values (A, C) there to values (N, C) at all points.
+Field = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 FULL = BuildOptions(coarse_steps=120)
-FROM = {"M": "M", "S": "M", "L": "M", "XL": "L"}
+FROM = {"M": "M", "S": "M", "L": "M", "XL": "L"}  # the size beside each one, from which it falls
 MOVED_WITHIN_M, MOST_VERTICES = 2e-3, 400
 GROWN_WITHIN_M, MOST_CORNERS = 2e-4, 40  # of a panel
-APART_M = {"space": 0.04, "panel": 0.02}  # rows that are added at once
+APART_M = {"space": 0.04, "panel": 0.02}  # least distance of rows that are added at once
 
 
 class GradedSize(NamedTuple):
@@ -70,12 +70,13 @@ def grade_sizes(
     """Returns the size table of the catalogue's garment ``name``.
 
     ``garment`` is its size M as the service has it, on ``body`` with these ``measurements``; ``skin`` is the body's
-    signed distance. Raises ``InputError`` if ``garment`` is not what the catalogue sews in M.
+    signed distance. ``report`` gets a line on each fall. Raises ``InputError`` if ``garment`` is not what the catalogue
+    sews in M.
     """
     designs = {size: design(name, measurements, size) for size in SIZES}
-    for one in designs.values():
-        check_seams(one)
-        check_laid_flat(one)
+    for drafted in designs.values():
+        check_seams(drafted)
+        check_laid_flat(drafted)
     fine = mesh_pattern(designs["M"].pattern, options.fine_m)
     if not (same_triangles(fine.faces, garment.fine_faces) and same_triangles(fine.panel_faces, garment.uv_faces)):
         cure = "Sew it again: python -m recovery.catalogue build --garments."
@@ -85,13 +86,14 @@ def grade_sizes(
 
 
 def same_triangles(faces: np.ndarray, others: np.ndarray) -> bool:
-    """Whether both are the same triangles, in whatever order: a triangulation begins elsewhere on another processor."""
-    ours, theirs = (np.unique(np.sort(one, axis=1), axis=0) for one in (faces, others))
+    """Returns whether ``faces`` (F, 3) and ``others`` (F, 3) are the same triangles, in whatever order: a triangulation
+    begins elsewhere on another processor."""
+    ours, theirs = (np.unique(np.sort(rows, axis=1), axis=0) for rows in (faces, others))
     return np.array_equal(ours, theirs)
 
 
 def let_designs_fall(
-    made: dict[str, Design],
+    designs: dict[str, Design],
     garment: Garment,
     body: BodyModel,
     fine: PatternMesh,
@@ -100,21 +102,21 @@ def let_designs_fall(
     report: Say,
     options: BuildOptions,
 ) -> dict[str, GradedSize]:
-    """Lets the designs ``made``, one for each size, fall on ``body``. Returns for every size but M how far it lies from
-    M.
+    """Lets ``designs``, one for each size, fall on ``body``. Returns for every size but M, by its name, its panels and
+    how far its cloth lies from M's, on the mesh ``fine`` of M.
 
-    Both are on the nodes of ``fine``, the mesh of M. ``skin`` is the body's signed distance, and ``report`` is called
-    with a line on each fall.
+    ``garment`` is size M as the service has it, ``skin`` the body's signed distance. ``report`` is called with a line
+    on each fall.
     """
-    coarse = mesh_pattern(made["M"].pattern, options.coarse_m)
+    coarse = mesh_pattern(designs["M"].pattern, options.coarse_m)
     nodes = {"M": on_finer_mesh(fine, garment.vertices.astype(np.float64), coarse)}
     band = waistband(nodes["M"], coarse.faces, body)
     held = None if band is None else band.vertex
     graded = {}
     for size, other in FROM.items():
-        controls = control_points(made[size].pattern).positions
-        mesh = replace(coarse, pattern=made[size].pattern, rest=coarse.rest_at(controls))
-        fall = Fall(made[size], mesh, fabric(made[size].fabric), skin, held=held)
+        controls = control_points(designs[size].pattern).positions
+        mesh = replace(coarse, pattern=designs[size].pattern, rest=coarse.rest_at(controls))
+        fall = Fall(designs[size], mesh, fabric(designs[size].fabric), skin, held=held)
         settled = fall.run(nodes[other], steps=options.coarse_steps, still_m=options.coarse_still_m, kept=SETTLING)
         nodes[size] = settled.nodes
         report(f"{size:9s} {settled.steps} steps, the last by {1e3 * settled.move_m:.2f} mm")
@@ -127,8 +129,12 @@ def let_designs_fall(
 def table_of(
     garment: Garment, body: BodyModel, panels: np.ndarray, graded: dict[str, GradedSize], *, report: Say
 ) -> SizeTable:
-    """Returns the table whose splines give ``graded`` back. ``panels`` [m] (P, 2) are the panel vertices of M, in the
-    order of the garment's uv."""
+    """Returns the table whose splines give back the sizes ``graded``, within ``MOVED_WITHIN_M`` and ``GROWN_WITHIN_M``
+    as far as its points reach.
+
+    ``panels`` [m] (P, 2) are the panel vertices of M, in the order of the garment's uv. ``report`` gets a line on each
+    size.
+    """
     standing, uv = garment.vertices.astype(np.float64), garment.uv.astype(np.float64)
     moved = np.concatenate([graded[size].moved for size in OTHERS], axis=1)
     grown = np.concatenate([graded[size].panels - panels for size in OTHERS], axis=1)
@@ -172,10 +178,10 @@ def table_of(
     )
     measures = {}
     for size in SIZES:
-        one = sized(garment, body, table, size)
-        measures[size] = {name: round(value, 4) for name, value in garment_measures(one, body).items()}
+        resized = sized(garment, body, table, size)
+        measures[size] = {name: round(value, 4) for name, value in garment_measures(resized, body).items()}
         if size != "M":
-            off = np.linalg.norm(one.vertices - standing - graded[size].moved, axis=1)
+            off = np.linalg.norm(resized.vertices - standing - graded[size].moved, axis=1)
             report(f"{size:9s} kept within {1e3 * np.sqrt((off**2).mean()):.1f} mm, {measures[size]}")
     return replace(table, measures=measures)
 
@@ -183,11 +189,11 @@ def table_of(
 def choose_points(
     points: np.ndarray, values: np.ndarray, field: Field, *, step: float, within: float, most: int, apart: float
 ) -> np.ndarray:
-    """Returns the rows (A,) of ``points`` (N, D) from which ``field`` gives all ``values`` (N, C) back within the error
-    ``within``, or as near as ``most`` rows come. Values are stored in whole ``step``s.
+    """Returns the rows (A,) of ``points`` (N, D) from which ``field`` gives all ``values`` (N, C) back with an error
+    below ``within``, or as well as ``most`` rows do. Values are stored in whole ``step``s.
 
-    The first rows are far from each other. Then those whose values are missed most are added, ``apart`` from each
-    other.
+    The first rows are far from each other. Then those whose values are missed most are added, a few at a time,
+    ``apart`` from each other.
     """
     rows = [int(points[:, 1].argmax())]
     while len(rows) < min(2 * points.shape[1] + 2, len(points)):

@@ -60,7 +60,8 @@ def _parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 @refusing
 @watched()
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command and returns its exit code: with a sentence, 2 if input is refused, 3 if cloth is not right."""
+    """Runs the command and returns its exit code: 0, or with a sentence 2 for refused input and 3 for cloth that is not
+    at rest or lies in the body."""
     given = _parse(arguments)
     started = time.perf_counter()
     pattern = read_pattern(given.pattern, units_in_meter=given.units_in_meter)
@@ -90,7 +91,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def check_worn(draped: Draped, start: DrapeStart) -> None:
-    """Refuses a garment with a limb beside its opening, or with a bone through cloth, in the T-pose or in the pose."""
+    """Raises ``InputError`` for a garment with a limb beside its opening, or with a bone through cloth, in the T-pose
+    or in the pose."""
     in_t_pose = (draped.rest.nodes, draped.mesh.faces, start.body.joints_template)
     if lost := sorted({*start.lost(draped), *lost_parts(*in_t_pose, draped.placed.limbs), *pierced_parts(*in_t_pose)}):
         raise InputError(
@@ -103,7 +105,8 @@ def check_worn(draped: Draped, start: DrapeStart) -> None:
 
 
 def left_words(draped: Draped) -> str:
-    """Sentences on drapes that did not come to rest and on nodes in the body, each with its cure; none if all is right.
+    """Returns sentences on drapes that did not come to rest and on nodes in the body, each with its cure; empty if all
+    is right.
 
     A node of cloth that hangs on the skin is 2 to 4 mm off it.
     """

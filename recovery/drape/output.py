@@ -21,9 +21,10 @@ from recovery.progress import Say
 
 
 def panel_texture(mesh: PatternMesh, unit_m: float | None = None) -> tuple[np.ndarray, float]:
-    """Texture coordinates (P, 2) of the panels side by side, and how many metres [m] one unit of them is.
+    """Returns texture coordinates (P, 2) of the panel vertices, the panels side by side, and the length [m] of one
+    unit.
 
-    By default the unit is that in which all panels fit into the unit square.
+    This is ``unit_m``, by default the length at which all panels fit into the unit square.
     """
     sheet = make_sheet(mesh.pattern, allowance_m=0.0)
     unit = float(max(sheet.width_m, sheet.height_m)) if unit_m is None else unit_m
@@ -31,10 +32,11 @@ def panel_texture(mesh: PatternMesh, unit_m: float | None = None) -> tuple[np.nd
 
 
 def sewn_obj_text(mesh: PatternMesh, nodes: np.ndarray, texture: tuple[np.ndarray, float]) -> str:
-    """The garment at ``nodes`` [m] (N, 3) as an OBJ: vertices are nodes, texture vertices are panel vertices.
+    """Returns the garment at ``nodes`` [m] (N, 3) as the text of an OBJ: its vertices are nodes, its texture vertices
+    are panel vertices.
 
     Both keep their numbers, so a corner's pair v/vt is the one-to-many map of the seams. ``texture`` is what
-    ``panel_texture`` gives.
+    ``panel_texture`` returns.
     """
     uv, unit = texture
     text = obj.obj_text([_surface(mesh, uv)], [nodes])
@@ -42,8 +44,9 @@ def sewn_obj_text(mesh: PatternMesh, nodes: np.ndarray, texture: tuple[np.ndarra
 
 
 def glb_bytes(mesh: PatternMesh, nodes: np.ndarray, texture: tuple[np.ndarray, float]) -> bytes:
-    """Returns the garment of ``sewn_obj_text`` as a GLB, whose vertices are split along the seams: glTF has no separate
-    texture vertices.
+    """Returns the garment at ``nodes`` [m] (N, 3) as a GLB; ``texture`` is what ``panel_texture`` returns.
+
+    Its vertices are split along the seams: glTF has no separate texture vertices.
     """
     file = GlbFile()
     add_garment(file, _surface(mesh, texture[0]), nodes[None], 1.0)
@@ -63,10 +66,11 @@ def write_shape(
 def write_rest(
     folder: Path, name: str, draped: Draped, body: BodyModel, *, avatar: Any, garment: bool, report: Say
 ) -> list[Path]:
-    """Writes the drape in the T-pose as NAME_rest.obj, and with ``garment`` also the garment cache. Returns the paths.
+    """Writes the drape in the T-pose as NAME_rest.obj, and with ``garment`` also the garment cache, to ``folder``.
+    Returns the paths.
 
     The cache holds the garment at rest, from which the service drapes. It is moved to ``body`` from ``avatar``, on
-    which it was draped (``drape.garment.intake``).
+    which it was draped (``drape.garment.intake``). ``report`` gets lines on that.
     """
     texture = panel_texture(draped.mesh)
     rest = sewn_obj_text(draped.mesh, draped.rest.nodes, texture)

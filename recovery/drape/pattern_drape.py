@@ -23,11 +23,12 @@ from recovery.pattern.sewing_pattern import Pattern
 from recovery.progress import Say
 from recovery.sim.skin_contact import GridDistance, Grown, SignedDistance, bare
 
-HANGS_LONGER = 0.01  # cloth a metre long by its own weight, as a share
+HANGS_LONGER = 0.01  # share by which hanging cloth, a metre long, is stretched by its own weight
 
 
 class Hold(StrEnum):
-    """The means that hold a garment up: a belt at its topmost opening, the body alone, or what its cut asks for."""
+    """What holds a garment up: a belt at its topmost opening, the body alone (``NOTHING``), or with ``AUTO`` a belt
+    unless it hangs from the shoulders."""
 
     AUTO = "auto"
     BELT = "belt"
@@ -36,11 +37,13 @@ class Hold(StrEnum):
 
 @dataclass(frozen=True)
 class SewingOptions:
-    """``edge_length_m`` of the cloth's mesh, ``fabric`` by name, ``scale`` of the pattern.
+    """The options of sewing and draping: ``edge_length_m`` [m] of the cloth's mesh, the name of its ``fabric``, the
+    factor ``scale`` of the pattern, the ``axes`` of its placements, and what is to ``hold`` it up.
 
-    ``grid_m`` is the spacing of the grid that holds the body's distance.
-    ``iteration_limit`` is that of Newton; 0 leaves the garment where the quasi-static steps end. Cloth rests
-    ``off_skin_m`` farther off the skin than the contact's own gap. ``hangs_longer`` is for ``hanging``.
+    ``grid_m`` [m] is the spacing of the grid that holds the body's distance. ``iteration_limit`` is that of Newton's
+    method; 0 leaves the garment where the quasi-static steps end. Cloth rests ``off_skin_m`` [m] farther off the skin
+    than the contact's own gap. A metre of cloth stretches by its own weight by at least the share ``hangs_longer``
+    (``hanging``).
     """
 
     edge_length_m: float = 0.025
@@ -60,12 +63,13 @@ class SewingOptions:
             )
 
     def skin(self, vertices: np.ndarray, faces: np.ndarray) -> SignedDistance:
-        """The signed distance of a closed surface, ``vertices`` [m] (V, 3) and ``faces`` (F, 3).
+        """Returns the signed distance of a closed surface, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), grown by
+        ``off_skin_m``.
 
-        It is grown by ``off_skin_m``. Raises ``MeshError`` for an open surface.
+        Raises ``MeshError`` for an open surface.
         """
-        found = GridDistance.from_mesh(vertices, faces, spacing_m=self.grid_m)
-        return Grown(found, self.off_skin_m) if self.off_skin_m else found
+        distance = GridDistance.from_mesh(vertices, faces, spacing_m=self.grid_m)
+        return Grown(distance, self.off_skin_m) if self.off_skin_m else distance
 
 
 def hanging(name: str, longer: float = HANGS_LONGER) -> OrthotropicMaterial:
@@ -84,8 +88,11 @@ def hanging(name: str, longer: float = HANGS_LONGER) -> OrthotropicMaterial:
 
 @dataclass(frozen=True, eq=False)
 class Draped:
-    """A garment at ``rest`` in the T-pose and, if a pose was asked for, ``posed``; with the mesh, the placed panels and
-    the sewn shape that came before, and ``figures`` on how it went."""
+    """A garment at ``rest`` in the T-pose and, if a pose was asked for, ``posed`` in that; with its ``mesh``, the
+    ``placed`` panels and the ``sewn`` shape that came before.
+
+    ``figures`` are numbers and words by name on how it went, for JSON; units stand in the names.
+    """
 
     mesh: PatternMesh
     placed: PlacedPanels
@@ -96,12 +103,12 @@ class Draped:
 
     @property
     def nodes(self) -> np.ndarray:
-        """Nodes [m] (N, 3) in the pose that was asked for."""
+        """Nodes [m] (N, 3) in the pose that was asked for, by default the T-pose."""
         return self.rest.nodes if self.posed is None else self.posed.nodes
 
     @property
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes [m] (N, 3) in the pose that was asked for, and faces (F, 3)."""
+        """Nodes [m] (N, 3) in the pose that was asked for, by default the T-pose, and faces (F, 3)."""
         return self.nodes, self.mesh.faces
 
     @property
@@ -120,11 +127,11 @@ def drape_pattern(
     skin: SignedDistance | None = None,
     report: Say | None = None,
 ) -> Draped:
-    """Returns ``pattern`` sewn round ``body`` and at rest on it, in the T-pose and then in ``pose`` (24, 3).
+    """Returns ``pattern`` sewn round ``body`` and at rest on it, in the T-pose and then in ``pose`` [rad] (24, 3).
 
-    ``cloth`` replaces the fabric that the options name; ``skin`` is the body's distance in the T-pose, if the caller
-    has it. Raises ``InputError`` (or ``MeshError``) for a pattern that cannot be meshed, placed or closed round this
-    body.
+    ``cloth`` replaces the fabric that the options name; ``skin`` is the body's signed distance in the T-pose, if the
+    caller has it. ``report`` gets a line on each step. Raises ``InputError`` (or ``MeshError``) for a pattern that
+    cannot be meshed, placed or closed round this body.
     """
     say = report or (lambda line: None)
     cloth = cloth or hanging(options.fabric, options.hangs_longer)
@@ -184,9 +191,9 @@ def drape_in_pose(
     *,
     cloth: OrthotropicMaterial | None = None,
 ) -> tuple[SettledDrape, dict[str, Any]]:
-    """The garment of ``mesh`` at rest on ``body`` in ``pose`` (24, 3), and its figures.
+    """Returns the garment of ``mesh`` at rest on ``body`` in ``pose`` [rad] (24, 3), and its ``drape_figures``.
 
-    ``rest`` is its drape in the T-pose; ``cloth`` as for ``drape_pattern``.
+    ``rest`` is its drape in the T-pose; ``cloth`` replaces the fabric that the options name.
     """
     pose = np.asarray(pose, dtype=np.float64).reshape(JOINT_COUNT, 3)
     moved = to_pose(mesh, rest.nodes, body, pose)
@@ -197,9 +204,10 @@ def drape_in_pose(
 
 
 def drape_figures(mesh: PatternMesh, drape: SettledDrape, skin: SignedDistance) -> dict[str, Any]:
-    """The figures by which a drape can be trusted: force left, strain, distances of nodes and of edges' middles.
+    """Returns the figures by which a drape can be trusted, by name with the unit: force left, clearance, edges in the
+    body, stretch, steps.
 
-    Distances are from the bare skin, not from one that was grown.
+    Distances are from the bare ``skin``, also where this was grown.
     """
     distance = in_numpy(bare(skin))
     edges = meshes.unique_edges(mesh.faces)
@@ -217,7 +225,8 @@ def drape_figures(mesh: PatternMesh, drape: SettledDrape, skin: SignedDistance) 
 
 
 def stretch_figures(stretch: np.ndarray) -> dict[str, float]:
-    """The larger of each triangle's two principal stretches (F, 2), less one, in %: median and 99th percentile."""
+    """Returns median and 99th percentile [%] of the strain of triangles along the direction of largest stretch, by
+    name. ``stretch`` (F, 2) are their principal stretches, the larger first."""
     larger = 100.0 * (stretch[:, 0] - 1.0)
     return {
         "stretch_median_pct": round(float(np.median(larger)), 2),
@@ -226,12 +235,12 @@ def stretch_figures(stretch: np.ndarray) -> dict[str, float]:
 
 
 def describe_stretch(figures: dict[str, Any]) -> str:
-    """Returns a phrase that says by how much cloth is stretched, of the ``stretch_figures``."""
+    """Returns a phrase with the numbers of ``stretch_figures``."""
     return f"stretched by {figures['stretch_median_pct']:.1f} % (99th percentile {figures['stretch_p99_pct']:.1f} %)"
 
 
 def describe_drape(what: str, figures: dict[str, Any]) -> str:
-    """The line of the report that tells how a drape ended."""
+    """Returns a line on how the drape called ``what`` ended, from its ``drape_figures``."""
     end = "at rest" if figures["converged"] else "NOT at rest"
     return (
         f"{what:9s} {end}, force left {figures['force_left_n']:.1e} N; clearance {figures['clearance_mm']:.1f} mm, "

@@ -50,7 +50,11 @@ ROUNDS = 40  # rounds of relaxation after every step
 
 
 class Axes(StrEnum):
-    """The axes that a file's placements are given in."""
+    """The axes of a file's placements: those of the ``BODY``'s file, of SMPL's template, or with the origin on the
+    ``FLOOR`` below the pelvis.
+
+    ``AUTO`` takes those in which the garment's top is nearest to neck, chest or waist.
+    """
 
     AUTO = "auto"
     BODY = "body"
@@ -64,7 +68,7 @@ class PlacedPanels:
 
     The file's placements were read in ``axes``. All panels were then lifted by ``lift_m``, each moved outward by at
     most ``outward_m``, and sleeves turned onto the arms by at most ``turned_rad``. ``hangs_from`` is "shoulders",
-    "chest" or "waist". ``limbs`` names the limbs that have an opening of their own.
+    "chest" or "waist". ``limbs`` names the limbs that have an opening of their own, such as "left_arm".
     """
 
     positions: np.ndarray
@@ -77,7 +81,8 @@ class PlacedPanels:
 
 
 def scale_pattern(pattern: Pattern, factor: float) -> Pattern:
-    """Returns ``pattern`` scaled by ``factor``: panels and the places of their middles alike."""
+    """Returns ``pattern`` scaled by ``factor``, the panels' outlines and translations alike. Raises ``InputError`` for
+    a factor outside 0.5 to 2."""
     if not 0.5 <= factor <= 2.0:
         raise InputError("scale", expected="a factor from 0.5 to 2", got=f"{factor}", cure="Draft a new size instead.")
 
@@ -90,11 +95,11 @@ def scale_pattern(pattern: Pattern, factor: float) -> Pattern:
 
 
 def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes: Axes = Axes.AUTO) -> PlacedPanels:
-    """The panels of ``mesh`` round ``body`` in the T-pose, whose signed distance is ``distance``.
+    """Returns the panels of ``mesh`` placed round ``body`` in the T-pose, whose signed distance is ``distance``.
 
-    The height is the one at which the fewest straight threads between sewn edges pass through the body. Sleeves drawn
-    for arms in another pose are turned with the arms first. Raises ``InputError`` where no panel is placed or none
-    comes to stand round the trunk.
+    The height is the one at which straight threads between sewn edges lie least deep in the body. Sleeves that point
+    elsewhere than the arms are turned first. Raises ``InputError`` where all panels lie in one place, the garment
+    begins far from neck, chest and waist, or a panel cannot be moved clear of the body.
     """
     check_placed(mesh.pattern)
     flat = mesh.placed()
@@ -140,7 +145,7 @@ def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes
 
 
 def check_placed(pattern: Pattern) -> None:
-    """Refuses a pattern of several panels that all lie in one place."""
+    """Raises ``InputError`` for a pattern of several panels that all have the same placement."""
     spots = {(panel.placement.rotation_deg, panel.placement.translation_m) for panel in pattern.panels}
     if len(pattern.panels) > 1 and len(spots) == 1:
         raise InputError(
@@ -152,7 +157,8 @@ def check_placed(pattern: Pattern) -> None:
 
 
 def best_lift(positions: np.ndarray, pairs: np.ndarray, distance: Distance) -> float:
-    """The lift [m] of placed panels (P, 3) at which straight threads between ``pairs`` (S, 2) best miss the body."""
+    """Returns the lift [m] of panel vertices at ``positions`` [m] (P, 3) at which straight threads between ``pairs``
+    (S, 2) of them lie least deep in the body; 0 without pairs."""
     if not len(pairs):
         return 0.0
     share = np.linspace(0.0, 1.0, THREAD_SAMPLES)[:, None, None]
@@ -167,8 +173,11 @@ def best_lift(positions: np.ndarray, pairs: np.ndarray, distance: Distance) -> f
 def move_clear(
     mesh: PatternMesh, positions: np.ndarray, distance: Distance, *, leave: Collection[str] = ()
 ) -> tuple[np.ndarray, float]:
-    """Returns ``positions`` [m] (P, 3) with every panel moved along its normal until it is clear of the body, and the
-    longest such move [m]. Panels named in ``leave`` stay where they are.
+    """Returns ``positions`` [m] (P, 3) with every panel moved along its normal until it is ``CLEARANCE_M`` off the
+    body, and the longest such move [m].
+
+    Panels named in ``leave`` stay where they are. Raises ``InputError`` for a panel that is not clear after
+    ``CLEAR_LIMIT_M``.
     """
     moved, longest = positions.copy(), 0.0
     for number, panel in enumerate(mesh.pattern.panels):
@@ -195,39 +204,40 @@ def move_clear(
 
 
 def openings_of_limbs(mesh: PatternMesh, placed: np.ndarray, *, top: bool, crotch_m: float) -> dict[str, np.ndarray]:
-    """The nodes (n,) of the opening for each arm of a ``top``, or for each leg; panels ``placed`` at [m] (P, 3).
+    """Returns the opening for each arm of a ``top``, or for each leg of another garment: its nodes (n,), in order, by
+    the limb's name, such as "left_arm". Panel vertices are ``placed`` at [m] (P, 3).
 
-    A top with three openings, two of them below the height ``crotch_m``, has legs and no arms.
+    A top with three openings, two of them below the height ``crotch_m`` [m], has legs and no arms.
     """
     nodes, loops = mesh.nodes_from(placed), meshes.boundary_loops(mesh.faces)
-    beside = [one for one in loops if abs(nodes[one, 0].mean()) > BESIDE * np.ptp(nodes[one, 0])]
-    beside.sort(key=lambda one: float(nodes[one, 1].mean()))  # the uppermost on a side stays: below it may be a leg's
-    arms = top and (len(loops) > 3 or any(nodes[one, 1].mean() > crotch_m for one in beside))
-    return {f"{'left' if nodes[one, 0].mean() > 0.0 else 'right'}_{'arm' if arms else 'leg'}": one for one in beside}
+    beside = [loop for loop in loops if abs(nodes[loop, 0].mean()) > BESIDE * np.ptp(nodes[loop, 0])]
+    beside.sort(key=lambda loop: float(nodes[loop, 1].mean()))  # the uppermost on a side stays: below it may be a leg's
+    limb = "arm" if top and (len(loops) > 3 or any(nodes[loop, 1].mean() > crotch_m for loop in beside)) else "leg"
+    return {f"{'left' if nodes[loop, 0].mean() > 0.0 else 'right'}_{limb}": loop for loop in beside}
 
 
 def sleeve_panels(mesh: PatternMesh, cuff: np.ndarray) -> np.ndarray:
-    """Returns the numbers (n,) of the panels that lie nearest to the opening with the nodes ``cuff`` (m,), along the
-    cloth, and touch no other opening.
-    """
+    """Returns the numbers (n,) of the panels that lie nearest, along the cloth, to the opening with the nodes ``cuff``
+    (m,), and touch no other opening."""
     edges = meshes.unique_edges(mesh.panel_faces)
     lengths = np.concatenate([meshes.edge_lengths(mesh.rest, edges), np.full(len(mesh.seam_pairs), 1e-9)])
     ends = np.concatenate([edges, mesh.seam_pairs]).T
     graph = scipy.sparse.csr_matrix((lengths, ends), shape=(len(mesh.rest),) * 2)
     own = np.isin(mesh.node_of_panel_vertex, cuff)
     other = np.isin(mesh.node_of_panel_vertex, meshes.boundary_vertices(mesh.faces)) & ~own
-    near, far = (csgraph.dijkstra(graph, False, np.flatnonzero(one), min_only=True) for one in (own, other))
+    near, far = (csgraph.dijkstra(graph, False, np.flatnonzero(rim), min_only=True) for rim in (own, other))
     return np.setdiff1d(np.flatnonzero(np.bincount(mesh.panel, near - far) < 0.0), mesh.panel[other])
 
 
 def round_spread_arms(
     mesh: PatternMesh, openings: Mapping[str, np.ndarray], joints: Mapping[str, np.ndarray]
 ) -> tuple[PatternMesh, float]:
-    """Returns ``mesh`` with its sleeves turned to point as the arms do whose ``joints`` [m] (3,) are given by name, and
-    the largest turn [rad].
+    """Returns ``mesh`` with the placements of its sleeves turned so that these point as the arms do, and the largest
+    turn [rad].
 
-    A sleeve points to where its cloth ends in its cuff, one of the ``openings``. One that points elsewhere is turned
-    about the z axis and moved, in that plane, to its armhole. Without such a sleeve the turn is 0.
+    ``openings`` has the nodes (n,) of each cuff by the limb's name, ``joints`` the body's joints [m] (3,) by name. A
+    sleeve points to where its cloth ends in its cuff. One that points elsewhere than its arm is turned about the z axis
+    and moved, in that plane, to its armhole. Without such a sleeve the turn is 0.
     """
     plane, panels, largest = mesh.placed() @ [1.0, 1.0j, 0.0], list(mesh.pattern.panels), 0.0
     for side in (limb.removesuffix("arm") for limb in openings if limb.endswith("arm")):
@@ -256,9 +266,11 @@ def round_spread_arms(
 
 
 def read_pose(text: str) -> np.ndarray:
-    """A pose (24, 3) [rad] from ``CLIP:FRAME`` or ``CLIP`` (frame 0), a motion file or a sample's name, or a JSON file.
+    """Returns the pose [rad] (24, 3) that ``text`` names: ``CLIP:FRAME`` or ``CLIP`` (frame 0) of a motion file or a
+    sample, or a JSON file.
 
-    The JSON holds 72 numbers, or an object with them under "pose". Translations are left out.
+    The JSON holds 72 numbers, or an object with them under "pose". Translations are left out. Raises ``NotFound`` for
+    no such file, ``MotionError`` for a frame that the clip does not have or another content.
     """
     name, _, frame_text = text.rpartition(":")
     if not (name and frame_text.lstrip("-").isdigit()):
@@ -300,13 +312,14 @@ def _json_pose(path: Path) -> np.ndarray:
 
 
 def posed_joints(body: BodyModel, pose: np.ndarray | None) -> np.ndarray:
-    """Joints [m] (24, 3) of ``body`` in ``pose`` (24, 3), or in the T-pose."""
+    """Returns the joints [m] (24, 3) of ``body`` in ``pose`` [rad] (24, 3), or for None in the T-pose."""
     return body.joints_template if pose is None else body.posed_joints(pose[None])[0]
 
 
 def pose_steps(pose: np.ndarray) -> np.ndarray:
-    """Poses (S, 24, 3) from the T-pose, left out, to ``pose`` (24, 3); joints turn evenly about their own axes."""
-    angles = np.linalg.norm(pose[1:], axis=1)  # the root turns all at once: the garment turns with it
+    """Returns poses [rad] (S, 24, 3) on the way from the T-pose, which is left out, to ``pose`` (24, 3); every joint
+    turns evenly about its own axis."""
+    angles = np.linalg.norm(pose[1:], axis=1)  # the root's turn needs no steps: body and garment turn as one
     steps = max(1, int(np.ceil(angles.max() / LARGEST_TURN_RAD)))
     return np.linspace(0.0, 1.0, steps + 1)[1:, None, None] * pose
 
@@ -314,7 +327,8 @@ def pose_steps(pose: np.ndarray) -> np.ndarray:
 def move_with_bones(
     nodes: np.ndarray, faces: np.ndarray, body: BodyModel, before: np.ndarray, after: np.ndarray
 ) -> np.ndarray:
-    """Garment ``nodes`` [m] (N, 3) on the body in pose ``before`` (24, 3), moved with its bones to pose ``after``."""
+    """Returns garment ``nodes`` [m] (N, 3) on the body in pose ``before`` [rad] (24, 3), moved by skinning to pose
+    ``after``."""
     rotations, translations = body.bones(np.stack([before, after]))
     skin = Avatar(body.posed_vertices(before[None])[0], body.faces, 0.0, "posed body")
     weights = smoother(nodes, faces, WEIGHT_SMOOTHING_M)(surface_weights(nodes, skin) @ body.weights)
@@ -325,9 +339,8 @@ def move_with_bones(
 
 
 def to_pose(mesh: PatternMesh, nodes: np.ndarray, body: BodyModel, pose: np.ndarray) -> np.ndarray:
-    """Returns ``nodes`` [m] (N, 3) of a garment on ``body`` in the T-pose, in ``pose`` (24, 3); clear of it, not at
-    rest.
-    """
+    """Returns garment ``nodes`` [m] (N, 3) on ``body`` in the T-pose, carried to ``pose`` [rad] (24, 3): clear of the
+    skin, but not at rest."""
     before = np.zeros((JOINT_COUNT, 3))
     for after in pose_steps(pose):
         nodes = move_with_bones(nodes, mesh.faces, body, before, after)

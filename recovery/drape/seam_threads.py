@@ -23,15 +23,15 @@ from recovery.sim.skin_contact import SignedDistance
 SEWING_GAP_M = 0.012  # cloth is kept this far off while it is sewn: inflated clear of the body
 CLOSING_ROUNDS, CLOSED_ROUNDS, MERGED_ROUNDS = 100, 60, 60
 OPEN_SEAM_M = 0.05  # a seam that stays open by more than this has the body between its sides
-MOST_STRETCH = (
-    1.6  # of nine triangles in ten; threads are stronger than cloth, so a small garment is stretched, not open
-)
+# Of nine triangles in ten. Threads are stronger than cloth, so a small garment is stretched and not open.
+MOST_STRETCH = 1.6
 CLEARLY_NEARER = 0.5  # of the distance before: no seam that is meant crosswise comes near this
 LENGTH_SLACK = 0.02  # by which the exchanged seams may fit worse
 
 
 class Sewn(NamedTuple):
-    """Nodes [m] (N, 3), the largest gap [m] left before the merge, and the stretch of the triangles (F, 2) after it."""
+    """A sewn garment: ``nodes`` [m] (N, 3), the largest gap ``gap_m`` [m] of a seam before its vertices were merged,
+    and the principal stretches ``stretch`` (F, 2) of the triangles, the larger first."""
 
     nodes: np.ndarray
     gap_m: float
@@ -39,7 +39,8 @@ class Sewn(NamedTuple):
 
 
 def in_numpy(distance: SignedDistance) -> Distance:
-    """A simulator's signed distance as a function of arrays; gradients are made unit vectors."""
+    """Returns the signed ``distance`` as a function of an array of points [m] (N, 3): to distances [m] (N,) and
+    gradients (N, 3), made unit vectors."""
 
     def query(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         with torch.no_grad():
@@ -57,7 +58,8 @@ def sewn_relaxation(
     gap_m: float | np.ndarray = SEWING_GAP_M,
     creases: np.ndarray | None = None,
 ) -> Relaxation:
-    """The relaxation of the garment's nodes, seams merged."""
+    """Returns a ``Relaxation`` of the sewn garment's nodes, which keep ``gap_m`` [m], one number or (N,), from the skin
+    and fold freely at the nodes ``creases``."""
     return Relaxation(mesh.faces, mesh.rest[mesh.panel_faces], distance, gap_m=gap_m, creases=creases)
 
 
@@ -69,10 +71,10 @@ def sew(
     gap_m: float | np.ndarray = SEWING_GAP_M,
     creases: np.ndarray | None = None,
 ) -> Sewn:
-    """Nodes of the sewn garment from ``placed`` panel vertices [m] (P, 3) that are clear of the body.
+    """Returns the garment sewn from panel vertices ``placed`` at [m] (P, 3), clear of the body.
 
-    Panel vertices, all or each (P,), keep ``gap_m`` [m] from the skin meanwhile; ``creases`` are nodes of seams that
-    stay folded, a collar's for one. Raises ``InputError`` if a seam cannot close, or only by stretching the cloth
+    Panel vertices keep ``gap_m`` [m], one number or (P,), from the skin meanwhile. ``creases`` (n,) are nodes of seams
+    that stay folded, as a collar's. Raises ``InputError`` if a seam cannot close, or only by stretching the cloth
     beyond what any garment bears.
     """
     panels = Relaxation(mesh.panel_faces, mesh.rest[mesh.panel_faces], distance, gap_m=gap_m, threads=mesh.seam_pairs)
@@ -110,7 +112,7 @@ def sew(
 
 
 def uncross_stitches(pattern: Pattern) -> tuple[Pattern, tuple[str, ...]]:
-    """Returns ``pattern`` with crossed pairs of stitches exchanged, and a sentence on each.
+    """Returns ``pattern`` with crossed pairs of stitches exchanged, and a sentence on each pair.
 
     Two stitches between the same two panels are crossed where their edges, panels as placed, come to lie twice as near
     with the partners exchanged, and the lengths still fit.
@@ -132,15 +134,15 @@ def uncross_stitches(pattern: Pattern) -> tuple[Pattern, tuple[str, ...]]:
     return replace(pattern, stitches=tuple(stitches)), tuple(notes)
 
 
-def _exchanged(one: Stitch, other: Stitch) -> tuple[Stitch, Stitch] | None:
+def _exchanged(stitch: Stitch, other: Stitch) -> tuple[Stitch, Stitch] | None:
     """The stitches with their partners exchanged; None where they do not join the same two panels."""
-    if one.first.panel == one.second.panel or one.right_to_wrong != other.right_to_wrong:
+    if stitch.first.panel == stitch.second.panel or stitch.right_to_wrong != other.right_to_wrong:
         return None
-    if (other.first.panel, other.second.panel) == (one.second.panel, one.first.panel):
+    if (other.first.panel, other.second.panel) == (stitch.second.panel, stitch.first.panel):
         other = replace(other, first=other.second, second=other.first)
-    if (other.first.panel, other.second.panel) != (one.first.panel, one.second.panel):
+    if (other.first.panel, other.second.panel) != (stitch.first.panel, stitch.second.panel):
         return None
-    return replace(one, second=other.second), replace(other, second=one.second)
+    return replace(stitch, second=other.second), replace(other, second=stitch.second)
 
 
 def _misfit(pattern: Pattern, pair: tuple[Stitch, Stitch]) -> float:

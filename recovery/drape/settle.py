@@ -37,7 +37,8 @@ BELT_BAND_M = 0.06  # of the topmost opening that a belt holds, from its highest
 
 
 class SettledDrape(NamedTuple):
-    """Nodes [m] (N, 3) at rest; ``held`` nodes of the belt; how Newton ended; quasi-static ``steps`` before it."""
+    """A garment at rest: ``nodes`` [m] (N, 3), those ``held`` (n,) by a belt, the ``report`` of Newton's method, and
+    the number of quasi-static ``steps`` before it."""
 
     nodes: np.ndarray
     held: np.ndarray
@@ -46,9 +47,8 @@ class SettledDrape(NamedTuple):
 
 
 def topmost_opening(faces: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Returns the sorted nodes (n,) near the top of the garment's highest border, which a waistband or an elastic
-    holds; ``nodes`` [m] (N, 3), y up.
-    """
+    """Returns the nodes (n,), sorted, of the garment's highest border within ``BELT_BAND_M`` of its top, which a
+    waistband or an elastic holds; empty for a closed mesh. ``nodes`` [m] (N, 3), y up."""
     loops = meshes.boundary_loops(faces)
     if not loops:
         return np.zeros(0, dtype=np.int64)
@@ -67,12 +67,12 @@ def settle_at_rest(
     lowest_top_m: float = -np.inf,
     iteration_limit: int = ITERATION_LIMIT,
 ) -> SettledDrape:
-    """The garment at rest under its weight, from sewn ``nodes`` [m] (N, 3) near it, without friction.
+    """Returns the garment at rest under its weight, from sewn ``nodes`` [m] (N, 3) near it, without friction.
 
-    ``held`` are nodes that stay where they are. By a "belt" it first closes round the body without weight, and then its
-    topmost opening is held there. ``iteration_limit`` is Newton's; with 0 only the quasi-static steps are made. The
-    report has converged if no node is left with more than ``TOLERANCE_N``. Raises ``InputError`` for a garment that
-    fell off: its highest node ends below the height ``lowest_top_m``.
+    ``held`` are numbers (n,) of nodes that stay where they are. With "belt" it first closes round the body without
+    weight, and then its topmost opening is held there. ``iteration_limit`` is that of Newton's method; with 0 only the
+    quasi-static steps are made. The report says converged if no node is left with a force above ``TOLERANCE_N``. Raises
+    ``InputError`` for a garment that fell off: its highest node ends below the height ``lowest_top_m`` [m].
     """
     contact = SkinContact(body, friction=0.0)
     steps = 0
@@ -104,9 +104,11 @@ def to_rest(
     tolerance_n: float = TOLERANCE_N,
     iteration_limit: int = ITERATION_LIMIT,
 ) -> tuple[ClothState, Report]:
-    """The drape near ``start`` and how it ended; if none comes to rest, the shape on the way with the least force.
+    """Returns the drape near ``start`` and how it ended; if none comes to rest, the shape on the way with the least
+    force.
 
-    Newton first, then implicit steps from rest with Newton after them; iterations are counted over all.
+    Newton's method runs first, then implicit steps from rest and Newton's method after them; the report counts the
+    iterations of all.
     """
     total = 0
 
@@ -139,7 +141,7 @@ def to_rest(
             if drapes[-1][1].residual_n <= PATIENT_TOLERANCE * tolerance_n:
                 break
         drapes.append(drape(state, iteration_limit))
-    state, report = min(drapes, key=lambda one: one[1].residual_n)
+    state, report = min(drapes, key=lambda pair: pair[1].residual_n)
     return state, report._replace(iterations=total)
 
 

@@ -18,21 +18,23 @@ POINT_COUNT = 100_000
 
 
 class Chamfer(NamedTuple):
-    """``squared_cm2``: mean squared distances of both directions, summed; ``mean_mm``: the mean of both directions."""
+    """The Chamfer distance of two sets of points: ``squared_cm2`` [cm^2], the mean squared distances of both
+    directions, summed, and ``mean_mm`` [mm], the mean of both directions' mean distances."""
 
     squared_cm2: float
     mean_mm: float
 
     @classmethod
     def of(cls, forth: np.ndarray, back: np.ndarray) -> Chamfer:
-        """Returns the distance of two sets of points from the distances [m] ``forth`` and ``back`` of each set's points
-        to the other set."""
+        """Returns the Chamfer distance from the distances [m] ``forth`` (N,) and ``back`` (M,) of each set's points to
+        the nearest point of the other set."""
         squared = float((forth**2).mean() + (back**2).mean())
         return cls(1e4 * squared, 0.5e3 * float(forth.mean() + back.mean()))
 
 
 class SurfaceDistance(NamedTuple):
-    """Distances [mm] from points to triangles, both directions together: mean, root mean square, 95 %, largest."""
+    """The distances [mm] from points on each of two meshes to the other mesh, both directions together: mean, root mean
+    square, 95th percentile and largest."""
 
     mean_mm: float
     rms_mm: float
@@ -41,7 +43,7 @@ class SurfaceDistance(NamedTuple):
 
 
 def chamfer(first: np.ndarray, second: np.ndarray) -> Chamfer:
-    """The Chamfer distance of two sets of points [m] (N, 3) and (M, 3)."""
+    """Returns the Chamfer distance of two sets of points [m] (N, 3) and (M, 3)."""
     forth, back = (np.asarray(KDTree(there).query(here)[0]) for here, there in ((first, second), (second, first)))
     return Chamfer.of(forth, back)
 
@@ -53,9 +55,10 @@ def surface_chamfer(
     count: int = POINT_COUNT,
     known: np.ndarray | None = None,
 ) -> tuple[Chamfer, Chamfer]:
-    """The Chamfer distance of two meshes (vertices [m], faces), and its floor: the second against itself drawn anew.
+    """Returns the Chamfer distance of two meshes (vertices [m] (V, 3), faces (F, 3)) by ``count`` points drawn on each,
+    and its floor: that of two such sets of points on the second.
 
-    Faces of the second that are not ``known`` close holes: what lies nearest to them does not count.
+    Faces of the second that are not ``known``, bool (F,), close holes: what lies nearest to them does not count.
     """
     own = _opposite_known(draw_points(*first, count, 0), second, known)
     there, anew = (draw_points(*_known_part(second, known), count, seed) for seed in (1, 2))
@@ -69,16 +72,17 @@ def surface_distance(
     count: int = 20_000,
     known: np.ndarray | None = None,
 ) -> SurfaceDistance:
-    """Distances from points on each mesh (vertices [m], faces) to the nearest point of the other.
+    """Returns the distances from ``count`` points on each mesh (vertices [m] (V, 3), faces (F, 3)) to the nearest point
+    of the other.
 
-    Faces of the second that are not ``known`` close holes: what lies nearest to them does not count.
+    Faces of the second that are not ``known``, bool (F,), close holes: what lies nearest to them does not count.
     """
     own, there = draw_points(*first, count, 0), draw_points(*_known_part(second, known), count, 1)
     own = _opposite_known(own, second, known)
-    ways = [closest.closest_point(*one).distance for one in ((own, *second), (there, *first))]
-    found = 1e3 * np.concatenate(ways)
-    rms = float(np.sqrt((found**2).mean()))
-    return SurfaceDistance(float(found.mean()), rms, float(np.quantile(found, 0.95)), float(found.max()))
+    pairs = ((own, second), (there, first))
+    off_mm = 1e3 * np.concatenate([closest.closest_point(points, *mesh).distance for points, mesh in pairs])
+    rms = float(np.sqrt((off_mm**2).mean()))
+    return SurfaceDistance(float(off_mm.mean()), rms, float(np.quantile(off_mm, 0.95)), float(off_mm.max()))
 
 
 def _known_part(mesh: tuple[np.ndarray, np.ndarray], known: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

@@ -36,8 +36,8 @@ ITERATION_LIMIT = 60
 
 
 class Belt(NamedTuple):
-    """The nodes ``held`` (H,) by a belt, in their order along the pattern's waist, and where they lie on the closed
-    ``line`` [m] (m, 3).
+    """A belt on the closed ``line`` [m] (m, 3): the nodes ``held`` (H,) by it, in their order along the pattern's
+    waist.
 
     ``edges`` (H, 2) are the panel vertices at the ends of the edge from each node to the next. The nodes follow the
     line in ``direction`` (1 or -1); ``origin_m`` [m] is the place along it at which their mean lies.
@@ -50,7 +50,8 @@ class Belt(NamedTuple):
     origin_m: float
 
     def places(self, rest: Tensor) -> Tensor:
-        """Positions [m] (H, 3) of the held nodes for panel vertices ``rest`` [m] (P, 2), differentiable by them."""
+        """Returns the positions [m] (H, 3) of the held nodes for panel vertices ``rest`` [m] (P, 2), differentiable by
+        these."""
         way = torch.roll(self.line, -1, dims=0) - self.line
         length = torch.linalg.vector_norm(way, dim=1)
         ends = torch.cumsum(length, dim=0)
@@ -67,11 +68,13 @@ class Belt(NamedTuple):
 
 
 def belt_on(mesh: PatternMesh, nodes: np.ndarray, held: np.ndarray, line: np.ndarray) -> Belt | None:
-    """The belt of nodes ``held``, all of one border of ``mesh`` at ``nodes`` [m] (N, 3), on the ``line`` [m] (m, 3).
+    """Returns the belt of the nodes ``held`` (H,) of ``mesh`` at ``nodes`` [m] (N, 3), laid on the closed ``line`` [m]
+    (m, 3).
 
-    On average they stay where they are nearest to it. None if they are not a whole border, or do not go round once.
+    On average the held nodes stay where they are nearest to the line. None if they are not a whole border, or do not go
+    round the line once.
     """
-    loop = next((one for one in meshes.boundary_loops(mesh.faces) if set(one) == set(held)), None)
+    loop = next((loop for loop in meshes.boundary_loops(mesh.faces) if set(loop) == set(held)), None)
     if loop is None:
         return None
     halves = zip(meshes.half_edges(mesh.faces)[:, :2], meshes.half_edges(mesh.panel_faces)[:, :2], strict=True)
@@ -93,26 +96,29 @@ def belt_on(mesh: PatternMesh, nodes: np.ndarray, held: np.ndarray, line: np.nda
 
 
 def belt_of(draped: Draped, matches: list[Match], there: list[Contour]) -> Belt | None:
-    """Returns the belt that ``draped`` hangs from, laid on the contour of the target that is its match; ``there`` are
-    the target's contours. None if it hangs from none."""
-    found = _waist(draped, matches, there)
-    return None if found is None else belt_on(draped.mesh, draped.nodes, draped.rest.held, found[1].points)
+    """Returns the belt that ``draped`` hangs from, laid on the contour of the target that its border is matched with;
+    None without a belt or a match.
+
+    ``there`` are the target's contours; ``matches`` pair those of the drape with them.
+    """
+    waists = _waist(draped, matches, there)
+    return None if waists is None else belt_on(draped.mesh, draped.nodes, draped.rest.held, waists[1].points)
 
 
 def hold_as_target(
     draped: Draped, matches: list[Match], there: list[Contour], skin: SignedDistance, cloth: OrthotropicMaterial
 ) -> Draped:
-    """Returns ``draped`` with the nodes that its belt holds laid on the waist among the target's contours ``there``.
+    """Returns ``draped`` with the nodes that its belt holds laid on the waist of the target, and the others settled.
 
-    Held nodes move by the offset of both contours' centres, then onto the target's, each as far along it as it is along
-    the pattern's waist. The other nodes move by the offset and settle round ``skin``, the body's distance in the
-    drape's pose. Returns ``draped`` itself without a belt, without a counterpart, or if the garment does not come to
-    rest so.
+    ``there`` are the target's contours; ``matches`` pair those of the drape with them. All nodes move by the offset of
+    both waists' centres. The held ones then go onto the target's, each as far along it as it is along the pattern's
+    waist; the others settle round ``skin``, the body's distance in the drape's pose. Returns ``draped`` itself without
+    a belt or a match, or if the garment does not come to rest so.
     """
-    found = _waist(draped, matches, there)
-    if found is None:
+    waists = _waist(draped, matches, there)
+    if waists is None:
         return draped
-    own, theirs = found
+    own, theirs = waists
     held, line = draped.rest.held, theirs.points
     nodes = draped.nodes + (theirs.centre - own.centre)
     belt = belt_on(draped.mesh, nodes, held, line)
@@ -138,10 +144,10 @@ def _waist(draped: Draped, matches: list[Match], there: list[Contour]) -> tuple[
 
 
 class RestDrape:
-    """The garment of ``mesh`` at rest on ``body``; ``held`` nodes stay where they are, those of a ``belt`` go with it.
+    """The drape at rest of ``mesh`` on ``body`` as a function of panel vertices; ``held`` (n,) nodes stay where they
+    are, those of a ``belt`` go with it.
 
-    Without friction, so the shape depends on the panels and not on the way there, as long as it stays in one basin.
-    ``drapes`` counts how often it was asked for one.
+    There is no friction, so the shape depends on the panels and not on the way there, as long as it stays in one basin.
     """
 
     def __init__(
@@ -161,14 +167,12 @@ class RestDrape:
         self.cloth = cloth
         self.parameters = self.model.parameters(mesh.rest, cloth)
         self.tolerance_n, self.iteration_limit = tolerance_n, iteration_limit
-        self.drapes = 0
 
     def __call__(self, rest: Tensor, near: np.ndarray) -> tuple[Tensor, Report]:
         """Nodes [m] (N, 3) for panel vertices ``rest`` [m] (P, 2), sought from ``near`` (N, 3), and how that ended.
 
         Differentiable by ``rest`` if the report says that it converged.
         """
-        self.drapes += 1
         x = self._laid(torch.from_numpy(np.ascontiguousarray(near)), rest)
         state, report = equilibrium(
             self.model,
@@ -181,18 +185,19 @@ class RestDrape:
         return state.x, report
 
     def begun(self, nodes: np.ndarray) -> np.ndarray:
-        """Returns the nodes [m] (N, 3) at which a search begins, from the drape ``nodes`` (N, 3)."""
+        """Returns where a search begins, [m] (N, 3), that starts from the drape at ``nodes`` (N, 3): there."""
         return nodes
 
     def ended(self, mesh: PatternMesh, nodes: np.ndarray) -> np.ndarray:
-        """Returns the drape [m] (N, 3) of ``mesh``, which a search has left at ``nodes`` (N, 3)."""
+        """Returns where the cloth of ``mesh`` lies, [m] (N, 3), after a search has ended at ``nodes`` (N, 3): there."""
         return nodes
 
     def sensitivity(self, rest: Tensor, nodes: np.ndarray, moves: np.ndarray) -> np.ndarray:
-        """Derivatives (N, 3, Z) of the drape ``nodes`` [m] (N, 3) along ``moves`` (P, 2, Z) of the panel vertices.
+        """Returns the derivatives (N, 3, Z) of the drape at ``nodes`` [m] (N, 3) along Z ``moves`` (P, 2, Z) of the
+        panel vertices ``rest`` [m] (P, 2).
 
-        One factorisation for all of them: the adjoint's scalar is linear in its weights, so that its derivative by them
-        is the right side of a direction.
+        One factorisation serves all: the adjoint's scalar is linear in its weights, so its derivative by them is the
+        right side of a direction.
         """
         x = torch.from_numpy(np.ascontiguousarray(nodes))
         state = ClothState(x, torch.zeros_like(x))
@@ -211,8 +216,8 @@ class RestDrape:
                 parts = [torch.from_numpy(np.ascontiguousarray(part[:, :, k])) for part in (held, moves)]
                 along = torch.stack([(slope * part).sum() for slope, part in zip(slopes, parts, strict=True)]).sum()
                 (right,) = torch.autograd.grad(along, weights, retain_graph=True)
-                found = factor.solve(np.ascontiguousarray((problem.free * right).numpy()).reshape(-1))
-                columns.append(per_s * found + held[:, :, k].reshape(-1))
+                column = factor.solve(np.ascontiguousarray((problem.free * right).numpy()).reshape(-1))
+                columns.append(per_s * column + held[:, :, k].reshape(-1))
         return np.stack(columns, axis=1).reshape(len(nodes), 3, -1)
 
     def _problem(self, state: ClothState, parameters: Parameters) -> tuple[ImplicitProblem, Tensor, float]:

@@ -41,10 +41,12 @@ SMALLEST, LARGEST = 0.5, 2.0  # width and height of a graded panel over the base
 
 @dataclass(frozen=True, eq=False)
 class Graded:
-    """The graded ``pattern``; for every panel the ``widths`` and ``heights`` (P,) over the base's, and ``tapers`` (P,).
+    """A graded ``pattern``, and for each of its P panels the ``widths`` and ``heights`` (P,) over the base's, and
+    ``tapers`` (P,).
 
-    A taper is how much wider [1/m] a panel becomes per metre of height. ``misfit`` is the largest relative length or
-    displacement (over half a metre) that the grading could not follow.
+    A taper is how much wider [1/m] a panel becomes per metre of height. ``misfit`` is the largest error of a contour or
+    seam that the grading left: a relative length, or a displacement over half a metre. It is NaN where nothing was
+    graded.
     """
 
     pattern: Pattern
@@ -55,7 +57,7 @@ class Graded:
 
 
 def contour_edges(mesh: PatternMesh, contour: Contour) -> list[EdgeRef]:
-    """The edges of the panels that ``contour`` of the sewn ``mesh`` consists of."""
+    """Returns the unsewn edges of panels that lie on the border ``contour`` of the sewn ``mesh``."""
     inside = np.zeros(mesh.node_count, dtype=bool)
     inside[contour.loop] = True
     sewn = mesh.pattern.sewn
@@ -69,7 +71,8 @@ def contour_edges(mesh: PatternMesh, contour: Contour) -> list[EdgeRef]:
 def grade(
     mesh: PatternMesh, nodes: np.ndarray, contours: list[Contour], matches: list[Match], symmetries: Symmetries
 ) -> Graded:
-    """The pattern of ``mesh`` graded so that ``contours`` of its drape at ``nodes`` [m] (N, 3) go to their ``matches``.
+    """Returns the pattern of ``mesh`` graded so that ``contours`` of its drape at ``nodes`` [m] (N, 3) get the lengths
+    and places of their ``matches``.
 
     ``symmetries`` of the pattern stay. Raises ``InputError`` where a panel would shrink below half or grow beyond twice
     its size.
@@ -185,7 +188,7 @@ def _priors(unknowns: _Unknowns) -> Iterator[Equation]:
 
 
 def combine_grades(first: Graded, second: Graded) -> Graded:
-    """Returns ``second``, which graded the pattern of ``first``, with the factors of both over the first one's base.
+    """Returns the grading ``second``, which graded the pattern of ``first``, with factors over the base of ``first``.
 
     Squares of tapers are left out of the factors, as they are of both gradings.
     """
@@ -199,7 +202,7 @@ def combine_grades(first: Graded, second: Graded) -> Graded:
 
 
 def ungraded(pattern: Pattern) -> Graded:
-    """Returns ``pattern`` as it is, all factors one; its misfit is not known."""
+    """Returns ``pattern`` as a grading that changed nothing: widths and heights are 1, tapers 0, the misfit is NaN."""
     ones = np.ones(len(pattern.panels))
     return Graded(pattern, ones, ones, 0.0 * ones, float("nan"))
 
@@ -245,8 +248,8 @@ def _frame(mesh: PatternMesh, nodes: np.ndarray, panel: int) -> np.ndarray:
 def in_other_size(
     pattern: Pattern, base: str, body: BodyMeasurements, settings: Mapping[str, float], size: str
 ) -> Pattern:
-    """Returns ``pattern``, which fits ``body`` as its M, in ``size``; its ``base`` was drafted for ``body`` with
-    ``settings``.
+    """Returns ``pattern``, which fits ``body`` as its size M, in ``size``. Its ``base`` is called so and was drafted
+    for ``body`` with ``settings``.
 
     A corner moves by the difference of both sizes of the base, then as little as keeps the ratios of seams and the
     base's symmetries. Raises ``InputError`` where the base is no design that grows, or does not come in that size.

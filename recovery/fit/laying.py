@@ -38,11 +38,11 @@ from recovery.sim.skin_contact import SignedDistance, SkinContact
 
 GATHERED = 0.125  # one edge of a seam longer than the other by more than this share of their mean
 EDGE_M = 0.03  # longest edges of cloth that is laid: 5 cm do not hold a gather's folds
-HANGS_LONGER = 0.0036  # as ``recovery.drape.pattern_drape``; shorter edges fold in stiffer cloth, by their square
-SPRINGS_N_M3 = (*[1000.0] * 30, *[300.0] * 10)  # of the steps that lay a garment; the last one's stays for a search
+HANGS_LONGER = 0.0036  # ``longer`` of ``hanging``: shorter edges fold in cloth that is stiffer by their square
+SPRINGS_N_M3 = (*[1000.0] * 30, *[300.0] * 10)  # stiffness in each step that lays a garment; searches keep the last
 ACROSS = 0.05  # of the springs' stiffness acts across the way to the other surface: cloth slides along it
 STEP_S, LONGEST_M = 0.1, 0.03
-LAID_M = 2e-4  # root mean square of a step: cloth that moves less is laid
+LAID_M = 2e-4  # root mean square of the moves in a step: cloth that moves less is laid
 STEPS = 12  # of one drape in a search, at most
 FREE_STEPS, FREE_LONGEST_M, FREE_KEPT = 160, 0.0075, 0.5
 STILL_M = 3e-4  # of every node in one of those steps
@@ -50,19 +50,22 @@ OTHER_FOLDS_MM = 3.0  # mean distance of two drapes of a pattern: of two meshes 
 
 
 def laying_options(drape: SewingOptions) -> SewingOptions:
-    """Returns ``drape`` for cloth that will be laid: it need not come to rest, and edges are short."""
+    """Returns the options ``drape`` for cloth that springs will lay on its target: edges of at most ``EDGE_M``, stiffer
+    cloth, and no Newton's method, since it need not come to rest before."""
     length = min(EDGE_M, drape.edge_length_m)
     return replace(drape, edge_length_m=length, iteration_limit=0, hangs_longer=HANGS_LONGER)
 
 
 def is_laid(pattern: Pattern, parts: Sequence[str | None]) -> bool:
-    """Whether a garment that these ``parts`` of the body go through is laid: a seam gathers, and no belt holds it."""
+    """Returns whether a garment is laid on its target by springs: a seam of ``pattern`` gathers, and one of ``parts``,
+    the parts of the body that go through its openings, is an arm."""
     gathers = any(abs(seam.mismatch) > GATHERED for seam in geometry.seams(pattern))
     return gathers and any("arm" in (part or "") for part in parts)
 
 
 class LaidDrape(RestDrape):
-    """The garment of ``mesh`` on ``body``, held near the ``target`` by springs; otherwise as ``RestDrape``."""
+    """The drape of ``mesh`` on ``body``, drawn to the ``target`` by springs, as a function of panel vertices. Nothing
+    holds it but the body and the springs."""
 
     def __init__(
         self, mesh: PatternMesh, body: SignedDistance, cloth: OrthotropicMaterial, target: TargetSurface
@@ -72,7 +75,6 @@ class LaidDrape(RestDrape):
 
     def __call__(self, rest: Tensor, near: np.ndarray) -> tuple[Tensor, Report]:
         """As ``RestDrape``, but for the derivative: that of the last step alone."""
-        self.drapes += 1
         stiffness = SPRINGS_N_M3[-1]
         x, moved, steps = torch.from_numpy(np.ascontiguousarray(near)), np.inf, 0
         given = self.parameters._replace(panels=rest)
@@ -83,7 +85,8 @@ class LaidDrape(RestDrape):
         return self._step(x, given, stiffness), Report(steps + 1, 0.0, True)
 
     def begun(self, nodes: np.ndarray) -> np.ndarray:
-        """Returns ``nodes`` [m] (N, 3) laid on the target: one implicit step with each of ``SPRINGS_N_M3``."""
+        """Returns ``nodes`` [m] (N, 3) laid on the target: after one implicit step with each stiffness of
+        ``SPRINGS_N_M3``."""
         x = torch.from_numpy(np.ascontiguousarray(nodes))
         with torch.no_grad():
             for number, stiffness in enumerate(SPRINGS_N_M3):
@@ -94,7 +97,8 @@ class LaidDrape(RestDrape):
         return x.numpy()
 
     def ended(self, mesh: PatternMesh, nodes: np.ndarray) -> np.ndarray:
-        """Returns the drape [m] (N, 3) of ``mesh`` after its springs are let go at ``nodes`` (N, 3)."""
+        """Returns where the cloth of ``mesh`` lies, [m] (N, 3), after it has fallen from ``nodes`` (N, 3) without
+        springs until it is still (``let_fall``)."""
         return let_fall(mesh, nodes, self.contact.body, self.cloth).nodes
 
     def _step(self, x: Tensor, parameters: Parameters, stiffness: float) -> Tensor:
@@ -111,10 +115,10 @@ class LaidDrape(RestDrape):
 
 
 def springs_between(x: np.ndarray, faces: np.ndarray, target: TargetSurface, stiffness: float) -> SpringForces:
-    """Springs of ``stiffness`` [N/m^3], per area, between cloth at ``x`` [m] (V, 3) and the target, both ways.
+    """Returns springs of ``stiffness`` [N/m^3], per area, between cloth at ``x`` [m] (V, 3) and the target, both ways.
 
     Each node is drawn to the nearest point of the target, and the nearest point of the cloth to the middle of each of
-    the target's triangles; where the target is not known nothing is drawn.
+    the target's triangles; faces of the target that close a hole draw nothing.
     """
     there = closest.closest_point(x, target.vertices, target.faces)
     middles = target.vertices[target.faces].mean(axis=1)
@@ -160,9 +164,10 @@ def _pulls(
 
 
 def let_fall(mesh: PatternMesh, nodes: np.ndarray, skin: SignedDistance, cloth: OrthotropicMaterial) -> SettledDrape:
-    """The garment after short damped steps with friction from ``nodes`` [m] (N, 3), until it is still.
+    """Returns the garment after short damped steps with friction from ``nodes`` [m] (N, 3), until no node moves more
+    than ``STILL_M`` in one.
 
-    The report has converged if it is; the force that it says is without friction.
+    The report says converged if that was reached; the force that it tells is without friction.
     """
     forward = RestDrape(mesh, skin, cloth)
     model, parameters, contact = forward.model, forward.parameters, SkinContact(skin)
@@ -176,20 +181,21 @@ def let_fall(mesh: PatternMesh, nodes: np.ndarray, skin: SignedDistance, cloth: 
 
 
 def lay_on_target(draped: Draped, target: TargetSurface, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
-    """Returns ``draped`` where springs have laid it on the ``target``. ``skin`` is the body's signed distance in the
-    drape's pose, ``cloth`` what it is made of."""
+    """Returns ``draped`` with its nodes laid on the ``target`` by springs. ``skin`` is the body's signed distance in
+    the drape's pose, ``cloth`` the garment's material."""
     return _with_nodes(draped, LaidDrape(draped.mesh, skin, cloth, target).begun(draped.nodes))
 
 
 class DressedDrape(NamedTuple):
-    """A pattern sewn from flat panels: ``loose`` as it closes by itself, ``worn`` with its belt at the target's."""
+    """A pattern sewn from flat panels: ``loose`` as it comes to rest by itself, ``worn`` as it lies once it is put on
+    as the target wears it."""
 
     loose: Draped
     worn: Draped
 
 
 class Shown(NamedTuple):
-    """A drape that a pattern was found with: its ``mesh``, and ``nodes`` [m] (N, 3) in the pose of the target."""
+    """A drape that a pattern was recovered with: its ``mesh``, and ``nodes`` [m] (N, 3) in the pose of the target."""
 
     mesh: PatternMesh
     nodes: np.ndarray
@@ -204,9 +210,10 @@ class Shown(NamedTuple):
 class Dressing:
     """The means by which a garment that was sewn from flat panels is put on as the target wears it.
 
-    ``skin`` is the body's signed distance in the garment's pose. Gathered cloth is ``laid`` on the target, and ``hold``
-    lays a belt. ``lost`` returns the parts of the body that are beside their opening. Where there are two ways to put
-    the garment on, the drape with the lower ``rank`` is taken.
+    ``skin`` is the body's signed distance in the garment's pose, ``cloth`` the garment's material. ``laid`` says
+    whether it gathers and is laid on the target. ``hold`` lays a belt on the target's waist. ``lost`` returns the parts
+    of the body that are beside their opening. Where there are two ways to put the garment on, the drape with the lower
+    ``rank`` is taken.
     """
 
     skin: SignedDistance
@@ -217,10 +224,10 @@ class Dressing:
     rank: Callable[[Draped], Any]
 
     def worn_as(self, loose: Draped, shown: Shown) -> Draped:
-        """Returns ``loose`` as it is worn, with its belt laid on the target's waist.
+        """Returns the drape ``loose`` put on as the target wears it: with its belt laid on the target's waist.
 
-        A garment without a belt is hung in the folds of ``shown`` if it gathers, or if it fell into other folds by
-        itself.
+        A garment without a belt is hung in the folds of ``shown``, a drape of the same pattern, if it gathers, or if it
+        fell into other folds by itself.
         """
         if self.laid:
             return hung_as(loose, shown, self.skin, self.cloth)
@@ -232,28 +239,30 @@ class Dressing:
 
 
 def hung_as(draped: Draped, shown: Shown, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
-    """Returns ``draped`` hung in the folds of another mesh of its pattern, ``shown``, and let go from there."""
+    """Returns ``draped`` put where ``shown`` lies, a drape of the same pattern on another mesh, and fallen from there
+    until it is still (``let_fall``)."""
     return let_go(_placed_as(draped, shown), skin, cloth)
 
 
 def hung_at_rest(draped: Draped, shown: Shown, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
-    """Returns what ``hung_as`` does, brought to rest from there without friction, as garments are that do not
-    gather."""
+    """Returns ``draped`` put where ``shown`` lies, a drape of the same pattern on another mesh, fallen from there
+    (``let_fall``), and brought to rest without friction, as garments are that do not gather."""
     hung, forward = hung_as(draped, shown, skin, cloth), RestDrape(draped.mesh, skin, cloth)
     state, report = to_rest(forward.model, forward.model.state(hung.nodes), forward.parameters, forward.contact)
     return _lying(hung, SettledDrape(state.x.numpy(), draped.rest.held, report, 0))
 
 
 def put_on(draped: Draped, shown: Shown, hold: Callable[[Draped], Draped]) -> Draped:
-    """Returns ``draped`` put where another mesh of its pattern lies, ``shown``, with its belt laid by ``hold``, and at
-    rest from there. ``draped`` itself, if it does not come to rest so."""
+    """Returns ``draped`` put where ``shown`` lies, a drape of the same pattern on another mesh, with its belt laid by
+    ``hold``. Where ``hold`` changes nothing there, ``draped`` itself is returned."""
     placed = _placed_as(draped, shown)
     worn = hold(placed)
     return draped if worn is placed else worn
 
 
 def in_other_folds(draped: Draped, shown: Shown) -> bool:
-    """Whether ``draped``, which no belt holds, lies elsewhere than another mesh of its pattern, ``shown``."""
+    """Returns whether no belt holds ``draped`` and it lies elsewhere than ``shown``, a drape of the same pattern on
+    another mesh: more than ``OTHER_FOLDS_MM`` apart on average."""
     far = surface_distance(draped.surface, shown.surface)
     return not len(draped.rest.held) and far.mean_mm > OTHER_FOLDS_MM
 
@@ -263,7 +272,8 @@ def _placed_as(draped: Draped, shown: Shown) -> Draped:
 
 
 def let_go(draped: Draped, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
-    """Returns ``draped`` after ``let_fall``, begun where it is."""
+    """Returns ``draped`` after it has fallen from where it lies until it is still (``let_fall``). ``skin`` is the
+    body's signed distance in its pose."""
     return _lying(draped, let_fall(draped.mesh, draped.nodes, skin, cloth))
 
 

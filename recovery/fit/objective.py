@@ -35,17 +35,16 @@ from recovery.pattern.symmetry import FreeControls, Symmetries, free_controls
 
 FOLD_PER_M = 100.0  # H0 of the weight min(1 + |H| / H0, 5): a fold of 1 cm
 LARGEST_WEIGHT = 5.0
-CORNERS = (
-    np.array([(4.0, 1.0, 1.0), (1.0, 4.0, 1.0), (1.0, 1.0, 4.0)]) / 6.0
-)  # points in a triangle, exact for quadratics
+# Barycentric points in a triangle whose mean integrates quadratics exactly.
+CORNERS = np.array([(4.0, 1.0, 1.0), (1.0, 4.0, 1.0), (1.0, 1.0, 4.0)]) / 6.0
 EVEN = 0.005  # a base whose edges differ by less has no ease there: its seams are made equal
 EXACT = 1e-10  # of a length: what Newton leaves
 NEWTON_LIMIT = 30
-RANK = 1e-9  # of the largest singular value: mirrored stitches say the same twice
+RANK = 1e-9  # of the largest singular value: mirrored stitches give the same equation twice
 
 
 class Terms(NamedTuple):
-    """The loss [m^2] and its parts ``surface`` and ``contours``."""
+    """The loss ``total`` [m^2] () and its parts ``surface`` and ``contours`` [m^2] (), which sum to it."""
 
     total: Tensor
     surface: Tensor
@@ -53,9 +52,10 @@ class Terms(NamedTuple):
 
 
 def mean_curvature(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """|H| [1/m] (V,) by the cotangent formula over a third of the triangles about a vertex; 0 on borders.
+    """Returns |H| [1/m] (V,) of a mesh, 0 on borders, by the cotangent formula over a third of the triangles about a
+    vertex.
 
-    H is the mean of both principal curvatures: 1 / r on a sphere.
+    H is the mean of both principal curvatures: 1 / r on a sphere of radius r.
     """
     double = np.maximum(2.0 * meshes.face_areas(vertices, faces), 1e-30)
     total = np.zeros_like(vertices)
@@ -72,15 +72,17 @@ def mean_curvature(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def fold_weights(curvature: np.ndarray) -> np.ndarray:
-    """kappa of equation 7: min(1 + |H| / H0, 5)."""
+    """Returns the weights min(1 + |H| / H0, 5) (V,) of equation 7 for the ``curvature`` |H| [1/m] (V,), where H0 is
+    ``FOLD_PER_M``."""
     return np.minimum(1.0 + curvature / FOLD_PER_M, LARGEST_WEIGHT)
 
 
 @dataclass(frozen=True, eq=False)
 class TargetSurface:
-    """A target surface: ``vertices`` [m], ``faces``, its ``contours``; ``weights`` (V,) of equation 7.
+    """A target surface: ``vertices`` [m] (V, 3), ``faces`` (F, 3), its open ``contours``, and the fold ``weights``
+    (V,).
 
-    ``points`` (3 F, 3) lie in its triangles; ``shares`` (3 F,) are their parts of the area, times their weights.
+    ``points`` (3 F, 3) [m] lie in its triangles; ``shares`` (3 F,) are their parts of the area, times their weights.
     ``known`` (F,) is 1 for faces that were seen and 0 for those that close a hole, which have no weight.
     """
 
@@ -94,7 +96,8 @@ class TargetSurface:
 
     @classmethod
     def from_mesh(cls, vertices: np.ndarray, faces: np.ndarray, *, known: np.ndarray | None = None) -> TargetSurface:
-        """The target of a mesh, of which the faces ``known`` (F,) count, all by default."""
+        """Returns the target of a mesh, ``vertices`` [m] (V, 3) and ``faces`` (F, 3); faces that are not ``known``
+        (F,), bool, close holes. By default all are known."""
         weights = fold_weights(mean_curvature(vertices, faces))
         seen = np.ones(len(faces)) if known is None else np.asarray(known, dtype=np.float64)
         area = seen * meshes.face_areas(vertices, faces)
@@ -103,15 +106,16 @@ class TargetSurface:
         return cls(vertices, faces, open_contours(vertices, faces), weights, points, shares, seen)
 
     def weights_at(self, there: closest.ClosestPoints) -> np.ndarray:
-        """The weights (n,) of equation 7 at points of the surface; none where a hole was closed."""
+        """Returns the fold weights (n,) at points of the surface, 0 on faces that close a hole."""
         kappa = (self.weights[self.faces[there.face]] * there.barycentric).sum(axis=1)
         return kappa * self.known[there.face]
 
 
 class Objective:
-    """The loss of a drape of ``mesh`` against ``target``; ``contours`` of the drape have their ``matches`` there.
+    """The loss of a drape of ``mesh`` against ``target``; ``matches`` pair ``contours`` of the drape with those of the
+    target.
 
-    Seams are a constraint of the search and no term of the loss, as equation 8 of the paper is.
+    Seams are a constraint of the search and no term of the loss, unlike equation 8 of the paper.
     """
 
     def __init__(self, mesh: PatternMesh, target: TargetSurface, contours: list[Contour], matches: list[Match]) -> None:
@@ -127,7 +131,8 @@ class Objective:
         return Terms(surface + contours, surface, contours)
 
     def surface(self, x: Tensor) -> Tensor:
-        """Equation 7 [m^2] between both surfaces, by area instead of by vertex."""
+        """Returns the squared distance [m^2] () of drape and target for nodes ``x`` [m] (N, 3): means over both
+        surfaces, weighted by folds (equation 7), summed."""
         points = torch.from_numpy(CORNERS) @ x[self._faces]  # (F, 3, 3)
         points = points.reshape(-1, 3)
         target = self.target
@@ -141,15 +146,17 @@ class Objective:
         return forth + back
 
     def contours(self, x: Tensor) -> Tensor:
-        """Chamfer distance [m^2] between matched contours, the mean over them."""
+        """Returns the ``polyline_chamfer`` [m^2] () of matched contours for nodes ``x`` [m] (N, 3), the mean over the
+        pairs; 0 without pairs."""
         if not self.pairs:
             return x.sum() * 0.0
-        found = [polyline_chamfer(x[torch.from_numpy(loop)], torch.from_numpy(points)) for loop, points in self.pairs]
-        return torch.stack(found).mean()
+        pairs = [(x[torch.from_numpy(loop)], torch.from_numpy(points)) for loop, points in self.pairs]
+        return torch.stack([polyline_chamfer(*pair) for pair in pairs]).mean()
 
 
 def polyline_chamfer(first: Tensor, second: Tensor) -> Tensor:
-    """Squared distances [m^2] of two closed polylines (n, 3) and (m, 3), both directions summed, by length."""
+    """Returns the mean squared distances [m^2] () of the points of two closed polylines [m] (n, 3) and (m, 3) from the
+    other one, both directions summed."""
     return _one_way(first, second) + _one_way(second, first)
 
 
@@ -162,10 +169,11 @@ def _one_way(points: Tensor, line: Tensor) -> Tensor:
 
 
 def on_line(points: Tensor, line: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Returns samples (2 n, 3) of the closed polyline ``points``, their shares (2 n,) of its length, and where on
-    ``line`` each is nearest: the number (2 n,) of the segment, and the place (2 n,) on it from 0 to 1.
+    """Returns samples (2 n, 3) of the closed polyline ``points`` (n, 3), their shares (2 n,) of its length, and where
+    each is nearest to the closed polyline ``line`` (m, 3): the segment's number (2 n,), and the place (2 n,) on it from
+    0 to 1.
 
-    These places are held constant while differentiating.
+    Number and place are held constant while differentiating.
     """
     following = torch.roll(points, -1, dims=0)
     length = torch.linalg.vector_norm(following - points, dim=1)
@@ -192,8 +200,8 @@ def nearest_on_line(points: Tensor, line: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def gauss_newton_matrix(objective: Objective, x: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """Returns the matrix (Z, Z) [m^2 per m^2] of second derivatives of the loss by the Z unknowns, at nodes ``x`` [m]
-    (N, 3). ``moves`` (N, 3, Z) are the derivatives of the nodes."""
+    """Returns the matrix (Z, Z) [m^2 per m^2] of second derivatives of the loss by Z unknowns [m], at nodes ``x`` [m]
+    (N, 3), by Gauss and Newton. ``moves`` (N, 3, Z) are the derivatives of the nodes by the unknowns."""
     faces, target = objective.mesh.faces, objective.target
     points = (CORNERS @ x[faces]).reshape(-1, 3)
     there = closest.closest_point(points, target.vertices, target.faces)
@@ -248,19 +256,21 @@ def _cross_part(along: np.ndarray, way: np.ndarray, shares: np.ndarray) -> np.nd
 
 
 def wanted_ratios(base: Pattern) -> np.ndarray:
-    """Returns for each stitch of ``base`` the ratio (S,) of its first edge's length to its second's; 1 where the base
-    has no ease."""
+    """Returns for each of the S stitches of ``base`` the ratio (S,) of its first edge's length to its second's; exactly
+    1 where they differ by at most ``EVEN``."""
     ratio = np.array([seam.first_m / seam.second_m for seam in geometry.seams(base)])
     return np.where(np.abs(ratio - 1.0) <= EVEN, 1.0, ratio)
 
 
 def ease_left(pattern: Pattern, base: Pattern) -> np.ndarray:
-    """Relative differences (S,) of the first edges of ``pattern`` from what the stitches of ``base`` ask for."""
+    """Returns the relative error (S,) of each stitch of ``pattern``: the ratio of its edges' lengths over that in
+    ``base``, less 1."""
     return np.array([seam.first_m / seam.second_m for seam in geometry.seams(pattern)]) / wanted_ratios(base) - 1.0
 
 
 class SeamConstraint:
-    """The stitches of ``pattern``, whose corners are ``free``, in the ratios that those of ``base`` ask for."""
+    """The constraint that the S stitches of ``pattern`` have the ratios of edge lengths that those of ``base`` have, as
+    a function of the Z ``free`` values of its corners."""
 
     def __init__(self, pattern: Pattern, free: FreeControls, base: Pattern) -> None:
         self.free = free
@@ -285,27 +295,29 @@ class SeamConstraint:
         return chords
 
     def apart(self, values: np.ndarray) -> np.ndarray:
-        """g (S,) at ``values`` [m] (Z,): the relative difference of every seam from what is asked for."""
+        """Returns the logarithm g (S,) of every seam's ratio over the one in the base, at ``values`` [m] (Z,); 0 where
+        it is kept."""
         chords = self._chords @ np.concatenate([[1.0], values])
         length = np.log(np.linalg.norm(chords, axis=2))
         return length[0] - length[1] + self.offset
 
     def slopes(self, values: np.ndarray) -> np.ndarray:
-        """The derivatives (S, Z) [1/m] of ``apart``."""
+        """Returns the derivatives (S, Z) [1/m] of ``apart`` at ``values`` [m] (Z,)."""
         chords = self._chords @ np.concatenate([[1.0], values])
         along = chords / (chords**2).sum(axis=2, keepdims=True)
         rows = np.einsum("esc,escz->esz", along, self._chords[..., 1:])
         return rows[0] - rows[1]
 
     def along(self, values: np.ndarray) -> np.ndarray:
-        """Orthonormal directions (Z, M) in which no seam changes, to first order."""
+        """Returns orthonormal directions (Z, M) in which no seam's ratio changes, to first order at ``values`` [m]
+        (Z,)."""
         _, size, ways = np.linalg.svd(self.slopes(values), full_matrices=True)
         rank = int((size > RANK * max(size.max(initial=0.0), 1e-30)).sum())
         return ways[rank:].T
 
     def kept(self, values: np.ndarray) -> np.ndarray | None:
-        """Returns the values [m] (Z,) nearest to ``values`` at which all seams have their ratios; None where Newton's
-        method finds none."""
+        """Returns values [m] (Z,) near ``values``, by Newton's shortest steps, at which all seams have their ratios;
+        None where it finds none."""
         values = np.array(values, dtype=np.float64)
         for _ in range(NEWTON_LIMIT):
             apart = self.apart(values)
@@ -318,7 +330,7 @@ class SeamConstraint:
 
 
 def sewable(pattern: Pattern, base: Pattern, symmetries: Symmetries) -> Pattern:
-    """Returns ``pattern`` with its corners moved as little as makes its seams those that ``base`` asks for.
+    """Returns ``pattern`` with its corners moved as little as gives its seams the ratios of edge lengths of ``base``.
 
     ``symmetries`` of the pattern stay. Raises ``InputError`` where no corners do.
     """

@@ -31,8 +31,8 @@ from recovery.pattern.symmetry import FreeControls
 
 HALVINGS = 8
 BETAS = (0.9, 0.99)  # of Adam
-# Stands in for Adam's epsilon: a share of the largest root mean square gradient. Without it Adam moves what the target
-# does not tell, a seam along the cloth for one, as far as what it does tell.
+# Stands in for Adam's epsilon: a share of the largest root mean square gradient. Without it Adam moves corners that the
+# target does not determine, as along a seam in the cloth, as far as those that it does.
 FLOOR = 0.1
 DAMPING = 1e-2  # of the closing steps, as a share of the mean curvature of the loss; at the beginning
 DAMPING_RANGE = (1e-4, 1e4)
@@ -44,10 +44,8 @@ POINTS = ("now", "best")  # evaluations that a state holds
 
 @dataclass(frozen=True)
 class FitOptions:
-    """``iterations`` of Adam, whose rate [m] falls as a cosine from ``rate_m`` to ``last_rate_m``.
-
-    ``closing`` Gauss-Newton steps follow.
-    """
+    """The options of a search: ``iterations`` of Adam, whose rate [m] falls as a cosine from ``rate_m`` to
+    ``last_rate_m``, and ``closing`` steps of Gauss and Newton after them."""
 
     iterations: int = 20
     closing: int = 10
@@ -65,7 +63,7 @@ class FitOptions:
             )
 
     def rate(self, iteration: int) -> float:
-        """The rate [m] of a step after ``iteration`` steps."""
+        """Returns the rate [m] of Adam's step number ``iteration``, from 0."""
         share = 0.5 * (1.0 + np.cos(np.pi * min(1.0, iteration / max(1, self.iterations - 1))))
         return float(self.last_rate_m + share * (self.rate_m - self.last_rate_m))
 
@@ -74,10 +72,9 @@ DEFAULT_OPTIONS = FitOptions()
 
 
 class Evaluation(NamedTuple):
-    """A point of the search: unknowns ``values`` [m] (Z,), nodes [m] (N, 3), loss and parts [m^2] (3,), gradient.
-
-    The unknowns are the free numbers of the control points.
-    """
+    """A point of the search: the unknowns ``values`` [m] (Z,), which are free values of the control points, the drape's
+    ``nodes`` [m] (N, 3), the loss and its parts surface and contours ``terms`` [m^2] (3,), and the loss's ``gradient``
+    [m] (Z,)."""
 
     values: np.ndarray
     nodes: np.ndarray
@@ -87,11 +84,12 @@ class Evaluation(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The best pattern of a search, its control points [m] (K, 2), its drape [m] (N, 3), and the ``cloth`` it is of.
+    """The best ``pattern`` of a search, the ``positions`` [m] (K, 2) of its control points, the ``nodes`` [m] (N, 3) of
+    its drape, and the ``cloth`` that it is draped in.
 
     ``history`` (I + 1, 4): total loss, surface, contours [m^2] of every accepted step, and how often it was halved or
-    damped. ``finished`` is False if the search ended early, because no step lessened the loss or came to rest
-    without folds; at the end of the time (``recovery.progress``) the best so far is given, and it is True.
+    damped. ``finished`` is False if the search ended early, because no step lessened the loss or came to rest without
+    folds. At the end of the time (``recovery.progress``) the best so far is given, and it is True.
     """
 
     pattern: Pattern
@@ -129,18 +127,18 @@ class PatternSearch:
         self._basis = torch.from_numpy(np.ascontiguousarray(mesh.weights @ free.basis))
 
     def mesh_of(self, fitted: Fitted) -> PatternMesh:
-        """The mesh of the pattern that it found."""
+        """Returns the search's mesh with the pattern and the panel vertices that it ``fitted``."""
         return replace(self.mesh, pattern=fitted.pattern, rest=self.mesh.rest_at(fitted.positions))
 
     def rests(self, nodes: np.ndarray) -> bool:
-        """Returns whether the simulator finds a drape of the unchanged pattern, begun at ``nodes`` [m] (N, 3)."""
+        """Returns whether the unchanged pattern has a drape at rest that is found from ``nodes`` [m] (N, 3)."""
         return self.evaluate(np.zeros(self.free.count), nodes) is not None
 
     def evaluate(self, values: np.ndarray, near: np.ndarray) -> Evaluation | None:
-        """The loss and its gradient at ``values`` (Z,), the drape sought from ``near`` (N, 3).
+        """Returns the loss and its gradient at ``values`` [m] (Z,), with the drape sought from ``near`` [m] (N, 3).
 
-        None where a panel is folded over, where its outline crosses itself between the corners of triangles, so that it
-        cannot be cut, or where the drape does not come to rest.
+        None where a panel is folded over, where its outline crosses itself between the corners of triangles, or where
+        the drape does not come to rest.
         """
         z = torch.tensor(values, dtype=torch.float64, requires_grad=True)
         rest = self._rest(z)
@@ -152,8 +150,8 @@ class PatternSearch:
         terms = self.objective(x)
         loss = terms.total * self._doubt(z)
         (gradient,) = torch.autograd.grad(loss, z)
-        found = torch.stack([loss, *terms[1:]]).detach().numpy()
-        return Evaluation(values, x.detach().numpy(), found, gradient.numpy())
+        losses = torch.stack([loss, *terms[1:]]).detach().numpy()
+        return Evaluation(values, x.detach().numpy(), losses, gradient.numpy())
 
     def _crosses(self, values: np.ndarray) -> bool:
         """Whether the outline of a panel at ``values`` (Z,) crosses itself."""
@@ -190,11 +188,11 @@ class PatternSearch:
         state_file: Path | None = None,
         limit: int | None = None,
     ) -> Fitted:
-        """Searches from the pattern as it is, draped at ``nodes`` [m] (N, 3).
+        """Returns the best pattern of a search from the pattern as it is, draped at ``nodes`` [m] (N, 3).
 
-        ``state_file`` is written every ``SAVE_EVERY`` steps and at the end; where it exists the search goes on from
-        it, bit for bit as if it had not stopped. ``limit`` ends this run after that many steps. Raises ``InputError``
-        where the start itself folds or does not come to rest, ``ArtifactError`` for the state of another search.
+        ``state_file`` is written every ``SAVE_EVERY`` steps and at the end; where it exists the search goes on from it,
+        bit for bit as if it had not stopped. ``limit`` ends this run after that many steps. Raises ``InputError`` where
+        the start itself folds or does not come to rest, ``ArtifactError`` for the state of another search.
         """
         digest = self._digest(options)
         state = _read(state_file, digest) if state_file is not None and state_file.exists() else self._start(nodes)
@@ -292,10 +290,10 @@ class PatternSearch:
         ]
         if self.constraint is not None:
             arrays.append(self.constraint.offset)
-        found = hashlib.sha256(repr((STATE_VERSION, asdict(options), self.reach_m)).encode())
+        digest = hashlib.sha256(repr((STATE_VERSION, asdict(options), self.reach_m)).encode())
         for array in arrays:
-            found.update(np.ascontiguousarray(array).tobytes())
-        return found.hexdigest()
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
 
 
 class _State(NamedTuple):

@@ -1,4 +1,4 @@
-"""What a recovery found: its rounds, and all that led to the best of them."""
+"""The result of a recovery: its rounds, and all that led to the best of them."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from recovery.fit.optimise import Fitted, PatternSearch
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.symmetry import Symmetries
 
-SETTLED_M = 1e-4  # of every control point in a round: where the mesh stays as well, the next would find the same
+SETTLED_M = 1e-4  # move of control points in a round: if none is longer and the mesh stays, the next finds the same
 NOT_AT_REST = "no drape at rest"
 SAME = "it would find the same"  # no fault
 
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One search for the pattern: the drape at its ``start``, the ``matches`` of its contours with the target's, and
-    what it ``fitted``.
+    """One search for the pattern: the drape at its ``start``, the ``matches`` of that drape's contours with the
+    target's, the ``search``, and what it ``fitted``.
 
-    ``sewn``: the pattern that it found, sewn anew from flat panels; the next round starts from that. ``sewn_m2`` [m^2]:
-    the squared distance of that from the target, both directions summed. If nothing could be sewn they are None and
+    ``sewn``: the fitted pattern sewn anew from flat panels; the next round starts from that. ``sewn_m2`` [m^2]: the
+    squared distance of that from the target, both directions summed. If nothing could be sewn they are None and
     infinite. ``edge_length_m`` [m] is the mesh's. ``seconds`` by the clock and ``processor_s`` over all threads include
     the mesh and the drape at its start; those of the first round include base and grading.
     """
@@ -47,35 +47,38 @@ class Round:
 
     @property
     def least(self) -> np.ndarray:
-        """The row of the search's history at which its pattern was found: total loss, surface, contours, and
-        halvings."""
+        """The row (4,) of the search's history with the least loss: total loss, surface, contours [m^2], and the number
+        of halvings."""
         return self.fitted.history[self.fitted.history[:, 0].argmin()]
 
     @cached_property
     def surface_m2(self) -> float:
-        """The squared distance [m^2] of its drape from the target, both directions summed, as the loss has it."""
+        """The squared distance [m^2] of its fitted drape from the target, both directions summed, as the loss has
+        it."""
         return float(self.search.objective.surface(torch.from_numpy(self.fitted.nodes)))
 
     @property
     def apart_m2(self) -> float:
-        """The loss [m^2] of its pattern without the factor of the reach, which differs from round to round."""
+        """The loss [m^2] of its fitted pattern, surface and contours, without the factor of the reach, which differs
+        from round to round."""
         return self.surface_m2 + float(self.least[2])
 
     @property
     def rank(self) -> tuple[float, float]:
-        """The numbers by which rounds are compared; the least is the best. A pattern that falls into other folds when
-        it is sewn comes last."""
+        """The sum of ``apart_m2`` and ``sewn_m2`` [m^2], and ``apart_m2`` alone, which decides between equal sums; the
+        round with the least is the best."""
         return self.apart_m2 + self.sewn_m2, self.apart_m2
 
 
 @dataclass(frozen=True, eq=False)
 class Recovered:
-    """A recovery: the drape of the ``base``, the ``graded`` pattern, and what was ``fitted``.
+    """A recovery: the drape of the ``base``, its ``symmetries``, the ``graded`` pattern, and the pattern that was
+    ``fitted``.
 
     ``start``, ``matches``, ``search``, ``fitted``, ``edge_length_m`` and ``sewn`` are those of the best of the
-    ``rounds``, whose distances from the target, searched and sewn, are least in sum. ``left`` says which rounds were
-    left out and why, empty for none or where they would find the same. ``matches`` pair the start's contours with the
-    target's; ``holes`` are contours of the target without a partner. ``fabric`` is the name of the drape's.
+    ``rounds``, by ``Round.rank``. ``left`` says which rounds were left out and why; it is empty for none, and where
+    they would find the same. ``matches`` pair the start's contours with the target's; ``holes`` are the numbers of the
+    target's contours without a partner. ``fabric`` is the name of the drape's.
     """
 
     symmetries: Symmetries
@@ -94,18 +97,18 @@ class Recovered:
 
     @property
     def shown(self) -> Shown:
-        """The drape of the pattern that was found."""
+        """The drape of the fitted pattern, in the target's pose."""
         return Shown(self.search.mesh_of(self.fitted), self.fitted.nodes)
 
 
 def clocks() -> np.ndarray:
-    """Returns the time [s] of the clock and that of the processor."""
+    """Returns the time [s] (2,) of a steady clock, and the processor time of this process over all threads."""
     return np.array([time.perf_counter(), time.process_time()])
 
 
 def why_left(rounds: Sequence[Round], start: Draped) -> str:
-    """Returns a sentence on why no further search begins at ``start``, after the ``rounds`` so far; empty if one
-    does."""
+    """Returns why no further search begins at ``start``, after the ``rounds`` so far: ``NOT_AT_REST``, ``SAME`` if it
+    would find the same as the last one, or an empty text if one does."""
     if not start.at_rest:
         return NOT_AT_REST
     last = rounds[-1]
@@ -115,5 +118,6 @@ def why_left(rounds: Sequence[Round], start: Draped) -> str:
 
 
 def apart_mm(squared: float) -> float:
-    """Root mean square distance [mm] of two surfaces whose squared distances of both directions sum to this [m^2]."""
+    """Returns the root mean square distance [mm] of two surfaces whose squared distances of both directions sum to
+    ``squared`` [m^2]."""
     return 1e3 * float(np.sqrt(0.5 * squared))

@@ -38,20 +38,22 @@ from recovery.sim.skin_contact import SignedDistance
 
 GRADINGS = 2  # one is linear: a second one mostly halves what the first one left
 ROUNDS = 3
-# Where surfaces are this far apart (root mean square) at the first round's start or the end of one, the reach may hold
-# the search back: the next one has as many times more. Else what a drape hardly shows stays as in the graded base.
+# Where surfaces are this far apart (root mean square) at the first round's start, or at the end of a round, the reach
+# may hold the search back: the next round's is as many times larger. A small reach keeps what a drape hardly shows as
+# it is in the graded base.
 START_FAR_MM, FAR_MM, REACH_GROWS = 10.0, 3.0, 3.0
 LAID_FAR_MM = 5.0  # a base that springs lay nearer (root mean square) is not graded: that narrows what is gathered
 
 
 @dataclass(frozen=True)
 class RoundsOptions:
-    """``drape`` of every garment on the way, ``fit`` of every search, whose loss doubles where its unknowns are
-    ``reach_m`` [m] from the graded base.
+    """The options of a recovery: ``drape`` of every garment on the way, ``fit`` of every search, whose loss doubles
+    where its unknowns are ``reach_m`` [m] from the graded base.
 
     ``meshes_m`` are the edge lengths [m] of the rounds, by default three times that of ``drape``, or once 3 cm where a
-    seam gathers; Adam's steps are taken in the first alone. Each round writes a ``state_file`` of its own, numbered
-    from the second on, and goes on from it. Raises ``InputError`` for a reach that is not positive, and for no rounds.
+    seam gathers; Adam's steps are taken in the first round alone. Each round writes a ``state_file`` of its own,
+    numbered from the second on, and goes on from it. Raises ``InputError`` for a reach that is not positive, and for no
+    rounds.
     """
 
     drape: SewingOptions = field(default_factory=SewingOptions)
@@ -68,7 +70,7 @@ class RoundsOptions:
             raise InputError("meshes_m", expected="an edge length or more", got="none", cure="Leave it at its default.")
 
     def lengths_m(self, *, laid: bool) -> list[float]:
-        """Edge lengths [m] of the rounds; those of cloth that ``lay_on_target`` lays are short."""
+        """Returns the edge lengths [m] of the rounds, those of cloth that springs lay (``laid``) at most ``EDGE_M``."""
         lengths = self.meshes_m or [self.drape.edge_length_m] * (1 if laid else ROUNDS)
         return [min(length, EDGE_M) if laid else length for length in lengths]
 
@@ -82,18 +84,19 @@ def recover_pattern(
     pose: np.ndarray | None = None,
     report: Say | None = None,
 ) -> Recovered:
-    """The pattern whose drape on ``body`` is nearest to ``target``, in the T-pose or in ``pose`` (24, 3).
+    """Returns the pattern whose drape on ``body`` is nearest to ``target``, in the T-pose or in ``pose`` [rad] (24, 3),
+    with all that led to it.
 
     The target is one garment's surface, open where the garment is; ``base`` is a pattern of its kind with the same
     panels. ``report`` gets lines on what was found. Raises ``InputError`` where contours have no counterpart or a drape
-    does not come to rest. When the time is up (``recovery.progress``) the best so far is given.
+    does not come to rest. When the time is up (``recovery.progress``) the best so far is returned.
     """
     began = clocks()
     rounds = _prepared(target, base, body, options or RoundsOptions(), pose, report or (lambda line: None))
     first, rounds = rounds.with_base()
     graded, start = rounds.graded_start(first)
-    found, left = rounds.searched(start, graded.pattern, began)
-    return rounds.best_of(found, left, first, graded)
+    searched, left = rounds.searched(start, graded.pattern, began)
+    return rounds.best_of(searched, left, first, graded)
 
 
 def _prepared(
@@ -157,8 +160,8 @@ class _Rounds:
     def graded(self, before: Graded, draped: Draped) -> tuple[Graded, Draped]:
         """``before`` graded once more by its drape ``draped``, and the drape of that."""
         contours = open_contours(*draped.surface)
-        found = grade(draped.mesh, draped.nodes, contours, self.matches(draped)[0], self.symmetries)
-        after = combine_grades(before, found)
+        grading = grade(draped.mesh, draped.nodes, contours, self.matches(draped)[0], self.symmetries)
+        after = combine_grades(before, grading)
         after = replace(after, pattern=sewable(after.pattern, self.base, self.symmetries))
         return after, drape_worn(after.pattern, self.start(self.drape), rest=False)
 
@@ -168,18 +171,18 @@ class _Rounds:
         with suppress(InputError):  # panels that shrink too far, or a drape that lost a part
             while len(tried) < times:
                 tried.append(self.graded(*tried[-1]))
-        best, worn = min(reversed(tried), key=lambda one: (len(start.lost(one[1])), not one[1].at_rest))
+        best, worn = min(reversed(tried), key=lambda pair: (len(start.lost(pair[1])), not pair[1].at_rest))
         return best, worn if worn.at_rest else drape_at_rest(best.pattern, start)
 
     def nearer(self, base: Graded, draped: Draped) -> tuple[Graded, Draped]:
         """``base``, whose drape is ``draped``, or, where springs do not lay that near, graded if it is then nearer."""
 
-        def far(one: Draped) -> float:
-            return apart_mm(self.surface(lay_on_target(one, self.target, self.skin, self.cloth)))
+        def far_mm(draped: Draped) -> float:
+            return apart_mm(self.surface(lay_on_target(draped, self.target, self.skin, self.cloth)))
 
-        self.say(f"laid      the base within {(before := far(draped)):.2f} mm (root mean square)")
+        self.say(f"laid      the base within {(before := far_mm(draped)):.2f} mm (root mean square)")
         after = self.graded(base, draped) if before > LAID_FAR_MM else (base, draped)
-        return after if after[1] is not draped and far(after[1]) < before else (base, draped)
+        return after if after[1] is not draped and far_mm(after[1]) < before else (base, draped)
 
     # --- searches ---
 
@@ -215,7 +218,10 @@ class _Rounds:
         return rounds, left
 
     def _next_start(self, rounds: list[Round], start: Draped, length_m: float) -> tuple[Draped, str]:
-        """The drape from which the next round starts, and why there is none; the last of ``rounds`` gets it as well."""
+        """The drape from which the next round starts, and why there is none, empty if there is one.
+
+        The last of ``rounds`` gets the drape as well: its pattern, sewn.
+        """
         if not rounds:
             return (start if self.lays else self.held(start, self.cloth)), ""
         if watch.over():
@@ -239,10 +245,10 @@ class _Rounds:
             file = file and file.with_stem(f"{file.stem}_{number}")
         with watch.stage(f"round {number + 1}"):
             fitted = search.run(start.nodes, steps, state_file=file)
-        found = Round(start, matches, search, fitted, self.lengths_m[number], *(clocks() - began).tolist())
-        first, last = (apart_mm(surface) for surface in (fitted.history[0, 1], found.surface_m2))
+        finished = Round(start, matches, search, fitted, self.lengths_m[number], *(clocks() - began).tolist())
+        first, last = (apart_mm(surface) for surface in (fitted.history[0, 1], finished.surface_m2))
         self.say(f"round {number + 1}   {start.mesh.node_count} nodes: surfaces {first:.2f} to {last:.2f} mm apart")
-        return found
+        return finished
 
     def search(
         self, start: Draped, centre: Pattern, cloth: OrthotropicMaterial, reach_m: float
@@ -258,7 +264,7 @@ class _Rounds:
         forward = RestDrape(start.mesh, self.skin, cloth, held=start.rest.held, belt=belt)
         if self.lays:
             forward = LaidDrape(start.mesh, self.skin, cloth, self.target)
-        found = PatternSearch(
+        search = PatternSearch(
             start.mesh,
             controls,
             forward,
@@ -267,7 +273,7 @@ class _Rounds:
             reach_m=reach_m,
             likely=controls.values(control_points(centre).positions),
         )
-        return found, matches
+        return search, matches
 
     def sewn(self, last: Round, length_m: float) -> tuple[Round, Draped]:
         """``last`` with its pattern sewn on a mesh of edges ``length_m``, and that drape as it is worn.
@@ -277,16 +283,16 @@ class _Rounds:
         cloth, drape = last.fitted.cloth, replace(self.options.drape, edge_length_m=length_m)
         start, shown = self.start(drape, cloth), Shown(last.search.mesh_of(last.fitted), last.fitted.nodes)
 
-        def far(one: Draped) -> float:
-            return self.surface(one) if one.at_rest and not start.lost(one) else math.inf
+        def far_m2(draped: Draped) -> float:
+            return self.surface(draped) if draped.at_rest and not start.lost(draped) else math.inf
 
-        dressing = Dressing(self.skin, cloth, self.lays, lambda one: self.held(one, cloth), start.lost, far)
+        dressing = Dressing(self.skin, cloth, self.lays, lambda draped: self.held(draped, cloth), start.lost, far_m2)
         pair = sew_and_dress(last.fitted.pattern, start, dressing, shown, rest=not self.lays)
-        return replace(last, sewn=pair, sewn_m2=far(pair.worn)), pair.worn
+        return replace(last, sewn=pair, sewn_m2=far_m2(pair.worn)), pair.worn
 
     def best_of(self, rounds: list[Round], left: str, base: Draped, graded: Graded) -> Recovered:
         """The best of ``rounds`` with all that led there."""
-        best, fabric = min(rounds, key=lambda one: one.rank), self.options.drape.fabric
+        best, fabric = min(rounds, key=lambda finished: finished.rank), self.options.drape.fabric
         # The base's own note is of another cloth than the draped one; of name and weight a cutter knows the bolt.
         bolt = f"{fabric} {1e3 * best.fitted.cloth.density_kg_m2:.0f} g/m²"
         fitted = replace(best.fitted, pattern=replace(best.fitted.pattern, material=bolt))

@@ -29,11 +29,11 @@ FINER = 0.6  # of it, tried next where a part is lost: edges of 5 cm cut through
 
 @dataclass(frozen=True, eq=False)
 class DrapeStart:
-    """The settings that drapes have in common: ``body``, options, ``pose`` (24, 3), and the body's distance ``skin`` in
-    the T-pose.
+    """The settings that drapes have in common: the ``body``, the options ``drape``, the ``pose`` [rad] (24, 3), None
+    for the T-pose, and the body's signed distance ``skin`` in the T-pose, None if it has to be computed.
 
-    ``parts`` of the body should go through the garment's openings, by default the limbs that have one. ``cloth``
-    replaces the fabric of the options, and ``report`` gets lines on every drape.
+    ``parts`` names parts of the body that should go through the garment's openings, by default the limbs that have one.
+    ``cloth`` replaces the fabric of the options, and ``report`` gets lines on every drape.
     """
 
     body: BodyModel
@@ -45,7 +45,7 @@ class DrapeStart:
     report: Say | None = None
 
     def lost(self, draped: Draped) -> tuple[str, ...]:
-        """Returns the names in ``parts`` of parts of the body that are beside their openings."""
+        """Returns the names of the ``parts`` of the body that are beside their openings; empty if all go through."""
         parts = self.parts or draped.placed.limbs
         return lost_parts(*draped.surface, posed_joints(self.body, self.pose), parts)
 
@@ -55,16 +55,16 @@ def drape_worn(
     start: DrapeStart,
     *,
     rest: bool = True,
-    mended: Callable[[Draped], Draped] = lambda one: one,
-    off_mm: Callable[[Draped], float] = lambda one: 0.0,
+    mended: Callable[[Draped], Draped] = lambda draped: draped,
+    off_mm: Callable[[Draped], float] = lambda draped: 0.0,
     enough_mm: float = 0.0,
 ) -> Draped:
-    """Returns a drape of ``pattern`` in which every part of the body is in its opening, as ``mended`` has made of it.
+    """Returns a drape of ``pattern``, changed by ``mended``, in which every part of the body is in its opening.
 
-    If a part is lost, if with ``rest`` the cloth still moves, or if ``off_mm`` says that it lies farther than
-    ``enough_mm`` [mm] from where it should, other meshes are tried: a much finer one first for a lost part, then a
-    little finer and coarser ones. If none is right, the best is returned: one with all parts before one at rest, and
-    that before a nearer one. Raises ``InputError`` where the pattern cannot be sewn on any.
+    If a part is lost, if with ``rest`` the cloth still moves, or if the distance ``off_mm`` of a drape is above
+    ``enough_mm`` [mm], other meshes are tried: a much finer one first for a lost part, then a little finer and coarser
+    ones. If none is right, the best is returned: one with all parts before one at rest, and that before one with a
+    lower ``off_mm``. Raises ``InputError`` where the pattern cannot be sewn on any.
     """
     tried: list[tuple[tuple[int, int, float, int], Draped]] = []
     refused: list[InputError] = []
@@ -74,12 +74,12 @@ def drape_worn(
         options = replace(start.drape, edge_length_m=share * start.drape.edge_length_m)
         try:
             given = {"pose": start.pose, "cloth": start.cloth, "skin": start.skin, "report": start.report}
-            one = mended(drape_pattern(pattern, start.body, options, **given))
+            draped = mended(drape_pattern(pattern, start.body, options, **given))
         except InputError as error:
             refused.append(error)
             continue
-        lost, moves, off = len(start.lost(one)), int(not one.at_rest), off_mm(one)
-        tried.append(((lost, moves, off, number), one))
+        lost, moves, off = len(start.lost(draped)), int(not draped.at_rest), off_mm(draped)
+        tried.append(((lost, moves, off, number), draped))
         if (not lost and not (rest and moves) and off <= enough_mm) or watch.over():
             break
         if lost and number == 0:
@@ -96,11 +96,14 @@ def sew_and_dress(
     shown: Shown,
     *,
     rest: bool = True,
-    off_mm: Callable[[Draped], float] = lambda one: 0.0,
+    off_mm: Callable[[Draped], float] = lambda draped: 0.0,
     enough_mm: float = 0.0,
 ) -> DressedDrape:
-    """Returns ``pattern`` sewn from flat panels as ``drape_worn`` does it, and put on as ``shown`` lies. Raises
-    ``InputError`` where it cannot be sewn.
+    """Returns ``pattern`` sewn from flat panels, and put on by ``dressing`` as ``shown`` lies, on the best of several
+    meshes.
+
+    ``rest``, ``off_mm`` and ``enough_mm`` say which that is, as in ``drape_worn``. Raises ``InputError`` where the
+    pattern cannot be sewn.
     """
     pairs: list[DressedDrape] = []
 
@@ -113,8 +116,8 @@ def sew_and_dress(
 
 
 def needed_length(draped: Draped, options: SewingOptions) -> float:
-    """Returns the longest edges [m] on which a garment like ``draped`` is worn; infinite if the mesh of ``options``
-    will do.
+    """Returns the longest edges [m] on which a garment like ``draped`` is worn: those of its own mesh if ``drape_worn``
+    had to take a much finer one than ``options`` ask for, otherwise infinity.
 
     A part of the body that a coarse mesh has lost once would be lost in every drape of a search.
     """
@@ -123,10 +126,11 @@ def needed_length(draped: Draped, options: SewingOptions) -> float:
 
 
 def drape_at_rest(pattern: Pattern, start: DrapeStart) -> Draped:
-    """Returns ``drape_worn`` of ``pattern``. Raises ``InputError`` where it does not come to rest."""
+    """Returns a drape of ``pattern`` at rest with every part of the body in its opening, on the mesh that
+    ``drape_worn`` takes. Raises ``InputError`` where none comes to rest."""
     draped = drape_worn(pattern, start)
     if not draped.at_rest:
-        left = max(one.report.residual_n for one in (draped.rest, draped.posed) if one is not None)
+        left = max(drape.report.residual_n for drape in (draped.rest, draped.posed) if drape is not None)
         raise InputError(
             "graded pattern",
             expected="a drape at rest to start from",

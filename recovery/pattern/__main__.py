@@ -56,7 +56,7 @@ def _parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 
 
 def print_pattern(pattern: Pattern) -> None:
-    """Prints a table of the panels of ``pattern`` and one of its seams."""
+    """Prints a table of the panels of ``pattern`` and one of its seams, with notes on seams that look wrong."""
     print(f"{pattern.name}: {len(pattern.panels)} panels, {len(pattern.stitches)} stitches")
     print(f"\n{'panel':<24}{'edges':>6}{'area cm2':>10}{'outline cm':>12}")
     for panel in pattern.panels:
@@ -81,7 +81,8 @@ def print_notes(pattern: Pattern) -> None:
 
 
 def show(options: argparse.Namespace) -> None:
-    """Prints the pattern and its mesh, and draws both if a folder is given."""
+    """Prints the pattern that the parsed ``options`` name, and the size of its mesh; draws both if a folder is
+    given."""
     pattern = read_pattern(options.pattern, units_in_meter=options.units_in_meter)
     print_pattern(pattern)
     print_notes(pattern)
@@ -102,7 +103,7 @@ def show(options: argparse.Namespace) -> None:
 
 @refusing
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs a command and returns its exit code: 2 with a sentence if input is refused."""
+    """Runs a command and returns its exit code: 0, or 2 with a sentence if input is refused."""
     options = _parse(arguments)
     if options.command == "show":
         show(options)

@@ -21,8 +21,8 @@ class BandShape(NamedTuple):
     """The measures of a band: a strip called ``name``, ``width_m`` [m] wide, and shorter by the share ``shorter`` than
     the edges that it is sewn to.
 
-    It stands ``above`` these edges, as a waistband does, or hangs below them, as a cuff. ``free`` is the name of its
-    free edge, and ``seam`` that of its seam, by default the band's own.
+    It stands ``above`` these edges, as a waistband does, or hangs below them, as a cuff. ``free`` begins the name of
+    its free edge, and ``seam`` is that of its seam, by default the band's own.
     """
 
     name: str
@@ -34,7 +34,11 @@ class BandShape(NamedTuple):
 
 
 def sew_band(assembly: Assembly, band: BandShape, to: Sequence[Edge], tube: Tube) -> Drafted:
-    """Sews ``band`` to the edges ``to``, which follow each other along the tube's u, and returns it."""
+    """Adds ``band`` to ``assembly``, sewn to the edges ``to``, which follow each other along the tube's u, and closed
+    to a ring by a seam of its own. Returns its panel.
+
+    An edge is a drafted panel and the name of its side. The band starts bent round ``tube``.
+    """
     name, width_m, shorter, above, free, seam = band
     lengths = [(1.0 - shorter) * geometry.edge_length(drafted.panel, drafted.numbers[side]) for drafted, side in to]
     total = sum(lengths)
@@ -65,7 +69,8 @@ def sew_band(assembly: Assembly, band: BandShape, to: Sequence[Edge], tube: Tube
 
 
 def sew_waistband(assembly: Assembly, body: BodyMeasurements, top: float, to: Sequence[Edge], width_m: float) -> None:
-    """Sews a band of ``width_m`` above the edges ``to``, the waist of a garment at the height ``top`` [m]."""
+    """Adds a band of ``width_m`` [m] to ``assembly``, sewn above the edges ``to``, the waist of a garment at the height
+    ``top`` [m]."""
     middle = (0.0, top + 0.01, 0.5 * (body.front_z + body.back_z))
     tube = Tube(middle, UP, FORWARD, body.girth_at(top) / 5.0)
     sew_band(assembly, BandShape("waistband", width_m, WAISTBAND_SHORTER, above=True), to, tube)

@@ -27,10 +27,11 @@ LEAST_M = 0.03  # from underarm to waist, from waist to hips and from hips to he
 
 @dataclass(frozen=True)
 class DressCut(TopCut):
-    """A top's measures, and lengths [m] of the skirt.
+    """The measures of a dress: those of a top, and lengths [m] of the skirt.
 
     The waist's seam lies ``waist_drop_m`` below the body's waist; there the skirt is wider by the share ``gather``.
-    ``flare_m`` is added to each panel's half from hips to hem.
+    ``waist_ease_m`` and ``hip_ease_m`` are added to the body's girths, ``flare_m`` to each panel's half from hips to
+    hem.
     """
 
     waist_ease_m: float = 0.06
@@ -39,12 +40,13 @@ class DressCut(TopCut):
 
     @property
     def ease_m(self) -> dict[str, float]:
-        """Lengths [m] that are added to the body's girths."""
+        """Lengths [m] that are added to the body's girths, by part."""
         return super().ease_m | {"waist": self.waist_ease_m, "hips": self.hip_ease_m}
 
 
 def draft_dress(body: BodyMeasurements, cut: DressCut) -> Design:
-    """The dress that ``cut`` describes, for ``body``. Raises ``InputError`` where its lines do not meet."""
+    """Returns the dress that ``cut`` describes, drafted for ``body``. Raises ``InputError`` where its lines do not
+    meet."""
     _, _, underarm, (_, hem) = lines(body, cut)
     seam = body.waist_y - cut.waist_drop_m
     waist, hips = (0.25 * (body.girth_at(seam) + cut.waist_ease_m), 0.25 * (body.hip_girth + cut.hip_ease_m))
@@ -88,9 +90,10 @@ COUNT, MOST_PANELS = "panels", 12  # the one setting that is a number of pieces
 
 @dataclass(frozen=True)
 class Base:
-    """A base: the design that ``draft`` makes of ``cut``; ``settings`` names what a caller may set, lengths [m].
+    """A base: the function ``draft`` from a body and a cut to a design, the ``cut`` that it has by default, and the
+    names ``settings`` of the numbers of the cut that a caller may set.
 
-    ``gather`` and ``spread`` are shares, ``panels`` a number.
+    Settings are lengths [m], but ``gather`` and ``spread`` are shares, and ``panels`` is a number of pieces.
     """
 
     draft: Callable[[BodyMeasurements, Any], Design]
@@ -183,7 +186,8 @@ BASES = {base.cut.name: base for base in (tshirt, tank, dress, sleeved_dress, tr
 
 
 def whole(value: float) -> int:
-    """Returns the setting ``value`` as a number of panels. Raises ``InputError`` for a number that no skirt has."""
+    """Returns ``value`` of the setting ``panels`` as an integer. Raises ``InputError`` for a number that no skirt
+    has."""
     if value not in range(2, MOST_PANELS + 1):
         raise InputError(
             COUNT, expected=f"a whole number from 2 to {MOST_PANELS}", got=f"{value:g}", cure="Count the target's."
@@ -192,7 +196,8 @@ def whole(value: float) -> int:
 
 
 def read_values(settings: Sequence[str], option: str = "--set") -> dict[str, float]:
-    """Settings as ``option`` of a command line gives them, each NAME=NUMBER, as numbers by name."""
+    """Returns ``settings`` of a command line, each NAME=NUMBER, as numbers by name. Raises ``InputError``, which names
+    ``option``, for other text."""
     values = {}
     for setting in settings:
         key, _, text = setting.partition("=")
@@ -204,5 +209,6 @@ def read_values(settings: Sequence[str], option: str = "--set") -> dict[str, flo
 
 
 def base_pattern(name: str, body: BodyMeasurements, settings: Sequence[str] = ()) -> Pattern:
-    """The base pattern ``name`` for ``body`` with ``settings`` as a command line gives them, each NAME=NUMBER."""
+    """Returns the base called ``name`` drafted for ``body`` with ``settings`` of a command line, each NAME=NUMBER.
+    Raises ``InputError`` for what cannot be worn or made."""
     return BASES[name](body, **read_values(settings))

@@ -18,11 +18,11 @@ from recovery.pattern.sewing_pattern import Edge, EdgeKind, Panel, Pattern
 
 @dataclass(frozen=True, eq=False)
 class Controls:
-    """Control points of a pattern, panel by panel, in the order of the outline.
+    """The K control points of a pattern, panel by panel, in the order of the outline.
 
-    ``positions`` [m] (K, 2); ``panel`` (K,) its number; ``edge`` (K,) the edge that starts at the point or that the
-    handle shapes; ``handle`` (K,): 0 for a corner, 1 or 2 for a handle of a Bezier edge. Curves without a handle here
-    follow their chord; arcs always do.
+    ``positions`` [m] (K, 2) lie in the panels' frames; ``panel`` (K,) is the number of the panel; ``edge`` (K,) that of
+    the edge that starts at the point or that the handle shapes; ``handle`` (K,) is 0 for a corner, 1 or 2 for a handle
+    of a Bezier edge. Curves without a handle here follow their chord; arcs always do.
     """
 
     positions: np.ndarray
@@ -35,7 +35,8 @@ class Controls:
 
 
 def control_points(pattern: Pattern, *, free_curves: bool = False) -> Controls:
-    """The control points of ``pattern``: its corners, and with ``free_curves`` the handles of its Bezier edges."""
+    """Returns the control points of ``pattern``: its corners, and with ``free_curves`` the handles of its Bezier
+    edges."""
     positions, rows = [], []
     for panel_number, panel in enumerate(pattern.panels):
         for number, edge in enumerate(panel.edges):
@@ -66,7 +67,8 @@ def with_controls(pattern: Pattern, controls: Controls, positions: np.ndarray) -
 
 
 def edge_point_matrix(edge: Edge, t: np.ndarray) -> np.ndarray:
-    """Matrix (2 T, 4): points of the edge at ``t`` (T,) from its start and its end.
+    """Returns the matrix (2 T, 4) that gives points of ``edge`` at the parameters ``t`` (T,) from its start and its
+    end.
 
     Coordinates are interleaved, x before y. A curve follows its chord: it needs the chord turned left, which mixes x
     and y.
@@ -79,9 +81,11 @@ def edge_point_matrix(edge: Edge, t: np.ndarray) -> np.ndarray:
 
 
 def boundary_matrix(panel: Panel, parameters: list[np.ndarray]) -> np.ndarray:
-    """Matrix (2 B, 2 C): boundary points of a panel from its C corners, in the order of the outline.
+    """Returns the matrix (2 B, 2 C) that gives B boundary points of ``panel``, in the order of the outline, from its C
+    corners.
 
-    ``parameters`` holds for each edge the t of its points from the start on, the end left out.
+    Coordinates are interleaved, x before y. ``parameters`` holds for each edge the t of its points from the start on,
+    the end left out.
     """
     corners = len(panel.edges)
     matrix = np.zeros((2 * sum(len(t) for t in parameters), 2 * corners))
@@ -95,9 +99,10 @@ def boundary_matrix(panel: Panel, parameters: list[np.ndarray]) -> np.ndarray:
 
 
 def mean_value_weights(points: np.ndarray, cage: np.ndarray) -> np.ndarray:
-    """Weights (N, M) that give each of ``points`` [m] (N, 2) as a mean of the corners of a polygon ``cage`` [m] (M, 2).
+    """Returns weights (N, M) that give each of ``points`` [m] (N, 2) as a mean of the corners of a polygon ``cage`` [m]
+    (M, 2).
 
-    Rows sum to one and reproduce linear functions; on a side they interpolate its ends. In a polygon that is
-    not convex some are negative.
+    Rows sum to one and reproduce linear functions; on a side they interpolate its ends. In a polygon that is not convex
+    some are negative.
     """
     return np.asarray(igl.mvc(np.ascontiguousarray(points), np.ascontiguousarray(cage)))

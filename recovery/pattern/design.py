@@ -22,12 +22,12 @@ EASE_SLACK = 0.03  # by which a named ease may be missed
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """``pattern`` with the intentions of its maker.
+    """A ``pattern`` with the intentions of its maker, and the name of its ``fabric``.
 
     Edges whose name in ``edge_names`` begins with "hem" are turned up, those with "opening" are bound. ``seam_names``
     has one name per stitch. By seam name, ``eased`` is the share by which the second edge is longer than the first, and
     ``seam_angles`` [rad] the fold at rest. Panels in ``wraps`` start bent, those in ``over`` lie over others.
-    ``ease_m`` [m] is what was added to the body's girths.
+    ``ease_m`` [m] is what was added to the body's girths, by part.
     """
 
     pattern: Pattern
@@ -42,12 +42,12 @@ class Design:
 
     @property
     def hems(self) -> tuple[EdgeRef, ...]:
-        """Edges that are turned up or bound: two layers of cloth."""
+        """The edges that are turned up or bound, so that the cloth is double there."""
         return tuple(ref for ref, name in self.edge_names.items() if name.startswith(("hem", "opening")))
 
 
 class Assembly:
-    """Panels, wraps, seams and names of a design that is being drafted; ``eased`` as in the design."""
+    """The panels, wraps, seams and names of a design that is being drafted; ``eased`` as in ``Design``."""
 
     def __init__(self) -> None:
         self.panels: list[Panel] = []
@@ -58,7 +58,8 @@ class Assembly:
         self.eased: dict[str, float] = {}
 
     def add(self, drafted: Drafted, wrap: Wrap | None = None) -> Drafted:
-        """Takes in the panel of ``drafted`` and returns it; its edges are named as its sides are."""
+        """Adds the panel of ``drafted``, which ``wrap`` bends if it is given, and returns ``drafted``. Its edges are
+        named as its sides are."""
         self.panels.append(drafted.panel)
         for side in drafted.numbers:
             self.edge_names[drafted.edge(side)] = side
@@ -69,12 +70,13 @@ class Assembly:
     def sew(
         self, name: str, first: Drafted, first_side: str, second: Drafted, second_side: str, *, over: bool = False
     ) -> None:
-        """Sews two sides; ``over``: the outside of one continues in the inside of the other."""
+        """Adds a seam called ``name`` between a side of each of two panels. With ``over`` the outside of the first
+        continues in the inside of the second."""
         self.stitches.append(Stitch(first.edge(first_side), second.edge(second_side), right_to_wrong=over))
         self.seam_names.append(name)
 
     def sew_sides(self, parts: Sequence[str], front: Drafted, back: Drafted) -> None:
-        """Sews each of ``parts`` of the front to the back's, on both sides of the wearer.
+        """Adds seams of each of ``parts`` of the front with the same part of the back, on both sides of the wearer.
 
         The wearer's left is on the viewer's right in front and on the viewer's left behind.
         """
@@ -91,7 +93,8 @@ class Assembly:
         over: frozenset[str] = frozenset(),
         seam_angles: Mapping[str, float] = MappingProxyType({}),
     ) -> Design:
-        """The design of all panels and stitches so far."""
+        """Returns the design of all panels and stitches so far. ``ease_m`` [m], ``over`` and ``seam_angles`` [rad] are
+        those of ``Design``."""
         pattern = Pattern(name, tuple(self.panels), tuple(self.stitches), material=fabric)
         return Design(
             pattern,
@@ -107,8 +110,8 @@ class Assembly:
 
 
 def check_seams(design: Design) -> None:
-    """Refuses (``InputError``) a seam whose edges differ by more than 2 % of their length, or, if it is eased, by
-    something else than its ease."""
+    """Raises ``InputError`` for a seam whose edges differ by more than ``SEAM_TOLERANCE`` of their length, or, if it is
+    eased, by more than ``EASE_SLACK`` from its ease."""
     for seam, name in zip(geometry.seams(design.pattern), design.seam_names, strict=True):
         wanted = design.eased.get(name, 0.0)
         share = seam.second_m / seam.first_m - 1.0
@@ -123,7 +126,8 @@ def check_seams(design: Design) -> None:
 
 
 def check_laid_flat(design: Design) -> None:
-    """Refuses a panel that is wider than the cloth: it cannot be laid out on it along the grain."""
+    """Raises ``InputError`` for a panel that is wider than the cloth, so that it cannot be laid out on it along the
+    grain."""
     for panel in design.pattern.panels:
         width = float(np.ptp(geometry.outline(panel)[:, 0]))
         if width > CLOTH_WIDTH_M:
@@ -137,7 +141,8 @@ def check_laid_flat(design: Design) -> None:
 
 @dataclass(frozen=True)
 class Dart:
-    """A wedge ``width_m`` wide at the waist and ``depth_m`` deep, its middle at ``share`` of the waist's length."""
+    """A wedge that is sewn closed, ``width_m`` [m] wide at the waist and ``depth_m`` [m] deep, with its middle at
+    ``share`` of the waist's length."""
 
     share: float
     width_m: float
@@ -145,7 +150,8 @@ class Dart:
 
 
 def waist_with_darts(name: str, start: Point, end: Point, darts: Sequence[Dart]) -> list[Side]:
-    """Sides from ``start`` to ``end``: pieces of waist NAME_0, NAME_1, ... with a dart between each two.
+    """Returns the sides of a panel from ``start`` to ``end`` [m]: pieces of waist NAME_0, NAME_1, ... with a dart
+    between each two.
 
     The distance from start to end is that of the sewn waist and the darts. Raises ``InputError`` where darts overlap.
     """
@@ -179,7 +185,7 @@ def _point(place: np.ndarray) -> Point:
 
 
 def sew_darts(work: Assembly, drafted: Drafted) -> None:
-    """Sews both legs of every dart in the panel ``drafted`` to each other."""
+    """Adds seams to ``work`` that join both legs of every dart in the panel ``drafted``."""
     for side in drafted.numbers:
         if side.endswith("_in"):
             work.sew(f"dart_{drafted.panel.name}_{side[:-3]}", drafted, side, drafted, side[:-3] + "_out")
@@ -187,6 +193,6 @@ def sew_darts(work: Assembly, drafted: Drafted) -> None:
 
 def waist_pieces(drafted: Drafted, name: str) -> list[tuple[Drafted, str]]:
     """Returns the pieces of the waist ``name`` in the order in which a band above meets them, from the viewer's left to
-    the right: each the panel and the name of its side."""
+    the right, each as the panel and the name of its side."""
     pieces = [side for side in drafted.numbers if side.startswith(f"{name}_") and side[len(name) + 1 :].isdigit()]
     return [(drafted, side) for side in reversed(pieces)]

@@ -33,7 +33,8 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Side:
-    """A side of a drafted panel: its ``name``, where it starts, and up to two Bezier points, all [m]."""
+    """A side of a drafted panel: its ``name``, its ``start`` [m], and up to two Bezier points ``handles`` [m]. It ends
+    where the next side starts."""
 
     name: str
     start: Point
@@ -42,13 +43,13 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class Drafted:
-    """A panel and the numbers of its edges by the names of its sides."""
+    """A drafted ``panel``, and the ``numbers`` of its edges by the names of its sides."""
 
     panel: Panel
     numbers: dict[str, int]
 
     def edge(self, side: str) -> EdgeRef:
-        """The edge named ``side``."""
+        """Returns the reference to the edge that is the side called ``side``."""
         return EdgeRef(self.panel.name, self.numbers[side])
 
 
@@ -61,11 +62,12 @@ def draft(
     flip: bool = False,
     apart_m: float = 0.0,
 ) -> Drafted:
-    """The panel bounded by ``sides``, counter-clockwise, drawn in its place as its viewer sees it.
+    """Returns the panel called ``name`` bounded by ``sides``, counter-clockwise, drawn in its place in the world as its
+    viewer sees it.
 
-    ``rotation`` is ``FRONT`` or ``BACK``, ``z`` [m] its distance before the origin; ``flip`` mirrors left and right;
-    ``apart_m`` moves it to the right, or flipped to the left. The panel's own origin is the middle of the box of its
-    corners.
+    ``rotation`` is ``FRONT`` or ``BACK``, ``z`` [m] the panel's place along the world's z. ``flip`` mirrors left and
+    right; ``apart_m`` [m] moves it to the viewer's right, or flipped to the left. The panel's own origin is the middle
+    of the box of its corners.
     """
     if flip:
         sides = mirror(sides)
@@ -99,12 +101,14 @@ def mirror(sides: Sequence[Side]) -> list[Side]:
 
 
 def on_ring(centre_y: float, radius: float, angle: float) -> Point:
-    """The point of a circle round (0, ``centre_y``) at ``angle`` [rad] from straight below, to the right."""
+    """Returns the point [m] of a circle of ``radius`` [m] round (0, ``centre_y``) at ``angle`` [rad] from straight
+    below, to the right."""
     return (radius * float(np.sin(angle)), centre_y - radius * float(np.cos(angle)))
 
 
 def ring_handles(centre_y: float, radius: float, start: float, end: float) -> tuple[Point, Point]:
-    """Bezier points of that circle's arc from angle ``start`` to ``end``; a quarter is 0.03 % off."""
+    """Returns the Bezier points [m] of the arc from angle ``start`` to ``end`` [rad] on the circle of ``on_ring``; a
+    quarter of it is 0.03 % off."""
     reach = 4.0 / 3.0 * float(np.tan(0.25 * (end - start))) * radius
     (ax, ay), (bx, by) = on_ring(centre_y, radius, start), on_ring(centre_y, radius, end)
     return (
@@ -114,13 +118,14 @@ def ring_handles(centre_y: float, radius: float, start: float, end: float) -> tu
 
 
 def before_and_behind(body: BodyMeasurements) -> tuple[tuple[str, tuple[float, float, float], float], ...]:
-    """Name, rotation [deg] and distance z [m] of the panel that hangs before ``body`` and of the one behind it."""
+    """Returns the name, the rotation [deg] and the place z [m] of the panel that hangs before ``body``, and those of
+    the one behind it."""
     return ("front", FRONT, body.front_z + STAND_OFF_M), ("back", BACK, body.back_z - STAND_OFF_M)
 
 
 def root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Returns where ``function`` is zero between ``low`` and ``high``, at which it has different signs, to a
-    nanometre."""
+    """Returns the number between ``low`` and ``high`` at which ``function`` is zero, to 1e-9. The signs of ``function``
+    at both differ."""
     return float(brentq(function, low, high, xtol=1e-9))  # pyright: ignore[reportArgumentType]
 
 
@@ -129,7 +134,12 @@ def root(function: Callable[[float], float], low: float, high: float) -> float:
 
 @dataclass(frozen=True)
 class Tube:
-    """A cylinder of ``radius_m``: the warp runs along the unit vector ``axis``, u = 0 lies in direction ``front``."""
+    """A cylinder of ``radius_m`` [m] about the line through ``origin`` [m] along the unit vector ``axis``, on which
+    panels are bent.
+
+    A panel's point (u, v) [m] lies u round it, from the direction of the unit vector ``front``, and v along it, which
+    is the warp.
+    """
 
     origin: Vector
     axis: Vector
@@ -137,13 +147,13 @@ class Tube:
     radius_m: float
 
     def place(self, points: np.ndarray) -> np.ndarray:
-        """World positions [m] (N, 3) of ``points`` (u, v) [m] (N, 2)."""
+        """Returns world positions [m] (N, 3) of ``points`` (u, v) [m] (N, 2)."""
         axis = np.array(self.axis)
         around = _around(axis, np.array(self.front), points[:, :1] / self.radius_m)
         return np.array(self.origin) + points[:, 1:] * axis + self.radius_m * around
 
     def tangent(self, point: np.ndarray) -> PanelPlacement:
-        """The flat placement that touches the tube at ``point`` (u, v)."""
+        """Returns the placement of a flat panel that touches the tube at ``point`` (u, v) [m] (2,)."""
         axis = np.array(self.axis)
         place = self.place(point[None])[0]
         normal = (place - np.array(self.origin) - point[1] * axis) / self.radius_m
@@ -157,10 +167,12 @@ class Tube:
 
 @dataclass(frozen=True)
 class Flutes:
-    """A ring cut as part of a disc that hangs from its inner circle in ``count`` flutes, turned by ``turn_rad``.
+    """The shape of a ring, cut as part of a disc, that hangs from its inner circle round ``origin`` [m] in ``count``
+    flutes, turned by ``turn_rad``.
 
-    Drawn about the disc's middle, v = -r at the middle of the part. On its way down the circle of radius r becomes a
-    wave round a cone that is as long as the circle was; flutes are a little uneven, as they fall.
+    The ring reaches from the radius ``inner_m`` to ``outer_m``. A panel's point (u, v) [m] is drawn about the disc's
+    middle, with v = -r at the middle of the part. On its way down the circle of radius r becomes a wave round a cone
+    that is as long as the circle was; flutes are a little uneven, as they fall.
     """
 
     origin: Vector
@@ -170,7 +182,7 @@ class Flutes:
     turn_rad: float = 0.0
 
     def place(self, points: np.ndarray) -> np.ndarray:
-        """World positions [m] (N, 3) of ``points`` (u, v) [m] (N, 2)."""
+        """Returns world positions [m] (N, 3) of ``points`` (u, v) [m] (N, 2)."""
         angle = np.arctan2(points[:, 0], -points[:, 1]) + self.turn_rad
         down = np.hypot(points[:, 0], points[:, 1]) - self.inner_m
         along = np.linspace(0.0, self.outer_m - self.inner_m, DEPTH_STEPS)
@@ -195,7 +207,8 @@ class Flutes:
         return 0.0 if excess(0.0) >= 0.0 else float(brentq(excess, 0.0, 2.0 * circle))  # pyright: ignore[reportArgumentType]
 
     def tangent(self, point: np.ndarray) -> PanelPlacement:
-        """A flat placement before or behind the body at ``point`` (u, v), for programs that place panels flat."""
+        """Returns a flat placement before or behind the body for ``point`` (u, v) [m] (2,), for programs that place
+        panels flat."""
         turn = (0.0, float(np.degrees(self.turn_rad)), 0.0)
         offset = PanelPlacement(turn).apply(np.array([point]))[0]
         ahead = self.outer_m * np.array([np.sin(self.turn_rad), 0.0, np.cos(self.turn_rad)])
@@ -204,10 +217,11 @@ class Flutes:
 
 @dataclass(frozen=True)
 class Cone:
-    """A funnel that opens downward from a circle of ``radius_m`` [m], ``slant`` outward per metre of cloth.
+    """A funnel that opens downward from a circle of ``radius_m`` [m] round ``origin``, ``slant`` outward per metre of
+    cloth; ``axis`` and ``front`` are those of a tube.
 
-    Drawn as a ring round (0, ``ring_m``) [m] whose inner arc, through (0, 0), goes round that circle; ``axis`` and
-    ``front`` as of a tube.
+    A panel's point (u, v) [m] is drawn on a ring round (0, ``ring_m``) whose inner arc, through (0, 0), goes round that
+    circle.
     """
 
     origin: Vector
@@ -218,7 +232,7 @@ class Cone:
     slant: float
 
     def place(self, points: np.ndarray) -> np.ndarray:
-        """World positions [m] (N, 3) of ``points`` (u, v) [m] (N, 2)."""
+        """Returns world positions [m] (N, 3) of ``points`` (u, v) [m] (N, 2)."""
         axis = np.array(self.axis)
         off = points - np.array([0.0, self.ring_m])
         down = np.hypot(off[:, :1], off[:, 1:]) - self.ring_m
@@ -228,7 +242,7 @@ class Cone:
         return np.array(self.origin) - np.sqrt(1.0 - self.slant**2) * down * axis + outward
 
     def tangent(self, point: np.ndarray) -> PanelPlacement:
-        """The flat placement beside the funnel at ``point`` (u, v)."""
+        """Returns a flat placement beside the funnel for ``point`` (u, v) [m] (2,)."""
         tube = Tube(self.origin, self.axis, self.front, self.radius_m)
         return tube.tangent(np.array([0.0, point[1]]))
 
@@ -240,20 +254,21 @@ def _around(axis: np.ndarray, front: np.ndarray, angle: np.ndarray) -> np.ndarra
 
 @dataclass(frozen=True)
 class Wrap:
-    """A panel round a ``tube``; the origin of the panel's frame lies at ``offset`` = (u, v) [m] there."""
+    """The bend of a panel round ``tube``; the origin of the panel's frame lies at ``offset`` = (u, v) [m] there."""
 
     tube: Tube | Flutes | Cone
     offset: tuple[float, float]
 
     def place(self, points: np.ndarray) -> np.ndarray:
-        """World positions [m] (N, 3) of the panel's ``points`` [m] (N, 2)."""
+        """Returns world positions [m] (N, 3) of the panel's ``points`` [m] (N, 2)."""
         return self.tube.place(points + np.array(self.offset))
 
 
 def draft_round(
     name: str, sides: Sequence[Side], tube: Tube | Flutes | Cone, *, flip: bool = False
 ) -> tuple[Drafted, Wrap]:
-    """The panel bounded by ``sides``, drawn in the tube's (u, v) as seen from outside; ``flip`` mirrors u."""
+    """Returns the panel bounded by ``sides``, drawn in the tube's (u, v) as seen from outside, with a flat placement,
+    and its bend round ``tube``. ``flip`` mirrors u."""
     drafted = draft(name, sides, rotation=FRONT, z=0.0, flip=flip)
     u, v, _ = drafted.panel.placement.translation_m
     wrap = Wrap(tube, (u, v))

@@ -28,10 +28,10 @@ DIALECTS = ("aama", "gerber")
 
 
 def write_dxf(sheet: CuttingSheet, path: Path, *, unit_mm: float = 1.0, dialect: str = "aama") -> None:
-    """Writes ``sheet`` to ``path`` with drawing units of ``unit_mm``.
+    """Writes ``sheet`` to ``path`` as DXF R12 with drawing units of ``unit_mm`` [mm].
 
-    R12 files state no unit, and what "METRIC" means differs: most readers ask, some take centimetres (10).
-    ``dialect`` "gerber" leaves out tables and layout blocks, which Gerber's reader takes for pieces.
+    R12 files state no unit, and what "METRIC" means differs: most readers ask, some take centimetres (10). ``dialect``
+    "gerber" leaves out tables and layout blocks, which Gerber's reader takes for pieces.
     """
     if unit_mm not in UNITS_MM:
         raise InputError("unit_mm", expected=f"one of {UNITS_MM}", got=f"{unit_mm}", cure="1 is mm, 10 is cm.")
@@ -43,10 +43,10 @@ def write_dxf(sheet: CuttingSheet, path: Path, *, unit_mm: float = 1.0, dialect:
     space = document.modelspace()
     style = [f"Style Name: {_ascii(sheet.title)}", "Sample Size: ONE", "Units: METRIC", "Author: drape"]
     _texts(space, style, np.zeros(2), 1.0 / unit_mm, CUT)
-    taken: set[str] = set()
+    names: set[str] = set()
     scale = 1000.0 / unit_mm
     for piece, place in zip(sheet.pieces, sheet.offsets, strict=True):
-        block = document.blocks.new(_block_name(piece.panel.name, taken))
+        block = document.blocks.new(_block_name(piece.panel.name, names))
         _add_piece(block, piece, scale, 1.0 / unit_mm)
         space.add_blockref(block.name, tuple(scale * place), dxfattribs={"layer": CUT})
     _save(document, path, dialect)
@@ -119,11 +119,11 @@ def _ascii(text: str) -> str:
     return plain or "unnamed"
 
 
-def _block_name(name: str, taken: set[str]) -> str:
+def _block_name(name: str, names: set[str]) -> str:
     """A block name of R12: letters, digits, - and _, up to 31, unlike the others."""
     stem = re.sub(r"[^A-Z0-9_-]", "_", _ascii(name).upper())[:27]
     candidate, number = stem, 2
-    while candidate in taken:
+    while candidate in names:
         candidate, number = f"{stem}_{number}", number + 1
-    taken.add(candidate)
+    names.add(candidate)
     return candidate

@@ -21,7 +21,8 @@ CAPITAL = 0.72  # height of Helvetica's capitals over its size
 
 
 def write_pdf(sheet: CuttingSheet, path: Path, *, page: str = "A4") -> int:
-    """Writes ``sheet`` to ``path`` and returns the number of pages; A4 pages beside the pieces are left out."""
+    """Writes ``sheet`` to ``path`` as a PDF on ``page``, "A4" or "single", and returns the number of its pages. A4
+    pages that no piece reaches are left out."""
     if page not in PAGES:
         raise InputError("page", expected=f"one of {PAGES}", got=page, cure="Choose one of them.")
     width, height = 1000.0 * sheet.width_m, 1000.0 * sheet.height_m

@@ -21,12 +21,13 @@ STYLE = (
 
 
 def write_svg(sheet: CuttingSheet, path: Path) -> None:
-    """Writes ``sheet`` to ``path``: a group per piece with cut, sew, grain and notch lines by class."""
+    """Writes ``sheet`` to ``path`` as SVG: a group per piece, whose lines have the classes cut, sew, grain and
+    notch."""
     ElementTree.ElementTree(drawing(sheet)).write(path, encoding="utf-8", xml_declaration=True)
 
 
 def drawing(sheet: CuttingSheet) -> ElementTree.Element:
-    """Returns the SVG element of ``sheet`` that ``write_svg`` writes."""
+    """Returns the SVG element of ``sheet``, in millimetres, that ``write_svg`` writes."""
     width, height = MM * sheet.width_m, MM * sheet.height_m
     root = ElementTree.Element(
         "svg",

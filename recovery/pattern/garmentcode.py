@@ -36,7 +36,7 @@ _COMMENT = re.compile(r'("(?:\\.|[^"\\])*")|//[^\n]*')
 
 
 def read_pattern(path: str | Path, *, units_in_meter: float | None = None) -> Pattern:
-    """The pattern in the JSON file at ``path``, checked; ``units_in_meter`` overrides what the file says.
+    """Returns the pattern in the JSON file at ``path``, checked; ``units_in_meter`` overrides what the file says.
 
     Lines may hold ``//`` comments. Raises ``NotFound`` for no file and ``InputError`` for what is not a pattern.
     """
@@ -44,7 +44,7 @@ def read_pattern(path: str | Path, *, units_in_meter: float | None = None) -> Pa
     if not path.is_file():
         raise NotFound("pattern", expected="a JSON file", got=f"{path}", cure="Check the path.")
     try:
-        text = _COMMENT.sub(lambda found: found.group(1) or "", path.read_text(encoding="utf-8"))
+        text = _COMMENT.sub(lambda match: match.group(1) or "", path.read_text(encoding="utf-8"))
         spec = json.loads(text)
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         raise InputError(
@@ -56,7 +56,8 @@ def read_pattern(path: str | Path, *, units_in_meter: float | None = None) -> Pa
 
 
 def pattern_from_spec(spec: Any, *, name: str = "pattern", units_in_meter: float | None = None) -> Pattern:
-    """The checked pattern of a parsed specification."""
+    """Returns the checked pattern of a specification ``spec`` as JSON types. ``name`` serves where it has none;
+    ``units_in_meter`` overrides its own. Raises ``InputError`` for what is not a pattern."""
     properties = _member(spec, "properties", dict, "specification")
     body = _member(spec, "pattern", dict, "specification")
     units = properties.get("units_in_meter") if units_in_meter is None else units_in_meter
@@ -106,7 +107,8 @@ def pattern_from_spec(spec: Any, *, name: str = "pattern", units_in_meter: float
 
 
 def mirror_panel(panel: Panel) -> Panel:
-    """The panel seen from its other side: same place in the world, outline in the opposite sense, normal reversed."""
+    """Returns ``panel`` seen from its other side: in the same place in the world, its outline in the opposite sense,
+    its normal reversed."""
     matrix = panel.placement.matrix() @ np.diag([-1.0, 1.0, -1.0])
     return replace(
         panel,
@@ -117,7 +119,7 @@ def mirror_panel(panel: Panel) -> Panel:
 
 
 def backward(panel: Panel) -> Panel:
-    """The same panel with its outline run the other way: edge n of N becomes edge N - 1 - n."""
+    """Returns ``panel`` with its outline run the other way: edge n of N becomes edge N - 1 - n."""
     edges = tuple(
         replace(e, start=e.end, end=e.start, handles=tuple((1.0 - along, -left) for along, left in e.handles[::-1]))
         for e in panel.edges[::-1]
@@ -272,7 +274,8 @@ def _template(parts: dict[str, Any], scale: float, turned: set[str]) -> dict[str
 
 
 def pattern_to_spec(pattern: Pattern, *, units_in_meter: float = FILE_UNITS_IN_METER) -> dict[str, Any]:
-    """The specification of ``pattern`` as JSON types; what ``pattern_from_spec`` reads back is the same pattern."""
+    """Returns the specification of ``pattern`` as JSON types, from which ``pattern_from_spec`` reads the same
+    pattern."""
     body: dict[str, Any] = {
         "panels": {panel.name: _panel_entry(panel, units_in_meter) for panel in pattern.panels},
         "stitches": [_stitch_entry(stitch) for stitch in pattern.stitches],
@@ -291,7 +294,7 @@ def pattern_to_spec(pattern: Pattern, *, units_in_meter: float = FILE_UNITS_IN_M
 
 
 def write_pattern(pattern: Pattern, path: str | Path, *, units_in_meter: float = FILE_UNITS_IN_METER) -> Path:
-    """Writes the specification to ``path`` and returns the path."""
+    """Writes the specification of ``pattern`` to ``path`` as JSON, and returns the path."""
     return write_whole(Path(path), json.dumps(pattern_to_spec(pattern, units_in_meter=units_in_meter), indent=2) + "\n")
 
 

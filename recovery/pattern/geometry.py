@@ -18,12 +18,13 @@ from recovery.pattern.sewing_pattern import Edge, EdgeKind, Panel, Pattern, Stit
 
 QUADRATURE_NODES, PIECES = 64, 8
 TOUCH_M = 1e-9  # segments nearer than this meet
-SMALLEST_PANEL_M, LARGEST_PANEL_M = 0.005, 5.0  # of the longer side of a panel's box; the largest panel >= 0.05
-SMALLEST_GARMENT_M = 0.05
+SMALLEST_PANEL_M, LARGEST_PANEL_M = 0.005, 5.0  # of the longer side of a panel's box
+SMALLEST_GARMENT_M = 0.05  # of the same, of the largest panel
 
 
 class SeamLine(NamedTuple):
-    """One stitch: lengths [m] of both edges, and their difference over their mean (signed, second minus first)."""
+    """A ``stitch``, the lengths ``first_m`` and ``second_m`` [m] of its edges, and ``mismatch``, the second less the
+    first over their mean."""
 
     stitch: Stitch
     first_m: float
@@ -35,7 +36,8 @@ class SeamLine(NamedTuple):
 
 
 def relative_curve(edge: Edge, t: np.ndarray) -> np.ndarray:
-    """Points (T, 2) of the curve at parameters ``t`` (T,) in [0, 1], as (along, left) shares of the chord."""
+    """Returns points (T, 2) of the curve of ``edge`` at parameters ``t`` (T,) in [0, 1], as (along, left) shares of its
+    chord."""
     t = np.asarray(t, dtype=np.float64)
     if edge.kind is EdgeKind.CIRCLE:
         half = 2.0 * np.arctan(2.0 * edge.handles[0][1])  # half of the arc's angle, signed
@@ -46,7 +48,7 @@ def relative_curve(edge: Edge, t: np.ndarray) -> np.ndarray:
 
 
 def bernstein(kind: EdgeKind, t: np.ndarray) -> np.ndarray:
-    """Weights (T, 2 + handles) of start, handles and end of a Bezier edge at ``t`` (T,)."""
+    """Returns weights (T, 2 + H) of start, H handles and end of a Bezier edge at parameters ``t`` (T,) in [0, 1]."""
     s = 1.0 - t
     if kind is EdgeKind.LINE:
         return np.stack([s, t], axis=1)
@@ -56,7 +58,7 @@ def bernstein(kind: EdgeKind, t: np.ndarray) -> np.ndarray:
 
 
 def relative_slope(edge: Edge, t: np.ndarray) -> np.ndarray:
-    """Derivative (T, 2) of ``relative_curve`` by t."""
+    """Returns the derivative (T, 2) of ``relative_curve`` by t."""
     t = np.asarray(t, dtype=np.float64)
     if edge.kind is EdgeKind.CIRCLE:
         half = 2.0 * np.arctan(2.0 * edge.handles[0][1])
@@ -71,7 +73,7 @@ def relative_slope(edge: Edge, t: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=4096)
 def relative_length(edge: Edge) -> float:
-    """Returns how long ``edge`` is in parts of the chord between its ends: 1 for a line."""
+    """Returns the length of ``edge`` over that of its chord: 1 for a line."""
     if edge.kind is EdgeKind.LINE:
         return 1.0
     if edge.kind is EdgeKind.CIRCLE:
@@ -81,7 +83,8 @@ def relative_length(edge: Edge) -> float:
 
 
 def arc_lengths(edge: Edge, t: np.ndarray) -> np.ndarray:
-    """Arc length per chord (T,) from the start to ``t`` (T,), by Gauss's rule on eight pieces."""
+    """Returns arc lengths (T,) from the start of ``edge`` to the parameters ``t`` (T,), over the length of its chord,
+    by Gauss's rule on eight pieces."""
     nodes, weights = _gauss()
     pieces, before = np.linspace(0.0, 1.0, PIECES + 1), _lengths_before(edge)
     place = np.clip(np.searchsorted(pieces, t, side="right") - 1, 0, PIECES - 1)
@@ -108,16 +111,16 @@ def _gauss() -> tuple[np.ndarray, np.ndarray]:
 
 @lru_cache(maxsize=4096)
 def equal_parameters(edge: Edge, segments: int) -> np.ndarray:
-    """Returns the parameters (segments + 1,) that cut ``edge`` into parts of equal arc length; the first is 0, the last
-    1.
-    """
+    """Returns the parameters (segments + 1,) that cut ``edge`` into parts of equal arc length, from 0 to 1. The array
+    is shared and not writeable."""
     parameters = parameters_at(edge, np.linspace(0.0, 1.0, segments + 1))
     parameters.flags.writeable = False  # all callers share it
     return parameters
 
 
 def parameters_at(edge: Edge, share: np.ndarray) -> np.ndarray:
-    """Parameters (T,) at the shares (T,) in [0, 1] of the edge's arc length from its start; 0 and 1 are exact."""
+    """Returns the parameters (T,) at the shares ``share`` (T,) in [0, 1] of the arc length of ``edge`` from its start;
+    0 and 1 are exact."""
     share = np.asarray(share, dtype=np.float64)
     if edge.kind in (EdgeKind.LINE, EdgeKind.CIRCLE):
         return share.copy()
@@ -134,18 +137,20 @@ def parameters_at(edge: Edge, share: np.ndarray) -> np.ndarray:
 
 
 def chord(panel: Panel, number: int) -> tuple[np.ndarray, np.ndarray]:
-    """Start [m] (2,) and chord [m] (2,) of edge ``number``."""
+    """Returns the start [m] (2,) of edge ``number`` in the panel's frame, and its chord [m] (2,), from there to its
+    end."""
     edge = panel.edges[number]
     return panel.vertices[edge.start], panel.vertices[edge.end] - panel.vertices[edge.start]
 
 
 def off_chord(relative: np.ndarray, start: np.ndarray, chord: np.ndarray) -> np.ndarray:
-    """Points [m] (N, 2) for (along, left) shares (N, 2) of the ``chord`` [m] (2,) that begins at ``start`` [m] (2,)."""
+    """Returns points [m] (N, 2) for the (along, left) shares ``relative`` (N, 2) of the ``chord`` [m] (2,) that begins
+    at ``start`` [m] (2,)."""
     return start + relative[:, :1] * chord + relative[:, 1:] * np.array([-chord[1], chord[0]])
 
 
 def on_chord(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[tuple[float, float], ...]:
-    """The (along, left) shares of ``points`` [m] (N, 2) by the chord from ``start`` to ``end`` [m] (2,)."""
+    """Returns the (along, left) shares of ``points`` [m] (N, 2) by the chord from ``start`` to ``end`` [m] (2,)."""
     chord, arm = end - start, points - start
     along, left = arm @ chord, arm @ np.array([-chord[1], chord[0]])
     squared = max(float(chord @ chord), 1e-300)
@@ -153,18 +158,19 @@ def on_chord(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[tu
 
 
 def edge_points(panel: Panel, number: int, t: np.ndarray) -> np.ndarray:
-    """Points [m] (T, 2) of edge ``number`` at ``t`` (T,) in [0, 1]."""
+    """Returns points [m] (T, 2) of edge ``number``, in the panel's frame, at parameters ``t`` (T,) in [0, 1]."""
     return off_chord(relative_curve(panel.edges[number], t), *chord(panel, number))
 
 
 def edge_controls(panel: Panel, number: int) -> np.ndarray:
-    """Start, handles and end [m] (2 + H, 2) of edge ``number``."""
+    """Returns start, H handles and end [m] (2 + H, 2) of edge ``number``, in the panel's frame."""
     relative = np.array([(0.0, 0.0), *panel.edges[number].handles, (1.0, 0.0)])
     return off_chord(relative, *chord(panel, number))
 
 
 def edge_tangents(panel: Panel, number: int, t: np.ndarray) -> np.ndarray:
-    """Unit tangents (T, 2) at ``t``; the direction of the chord where the slope vanishes."""
+    """Returns unit tangents (T, 2) of edge ``number`` at parameters ``t`` (T,); the direction of the chord where the
+    slope vanishes."""
     _, along = chord(panel, number)
     slope = relative_slope(panel.edges[number], t)
     tangents = slope[:, :1] * along + slope[:, 1:] * np.array([-along[1], along[0]])
@@ -174,12 +180,13 @@ def edge_tangents(panel: Panel, number: int, t: np.ndarray) -> np.ndarray:
 
 
 def edge_length(panel: Panel, number: int) -> float:
-    """Arc length [m] of edge ``number``."""
+    """Returns the arc length [m] of edge ``number``."""
     return float(np.linalg.norm(chord(panel, number)[1])) * relative_length(panel.edges[number])
 
 
 def flatten(panel: Panel, number: int, tolerance_m: float) -> np.ndarray:
-    """Points [m] (N, 2) on edge ``number``, ends included, whose segments leave the curve by <= ``tolerance_m``."""
+    """Returns points [m] (N, 2) on edge ``number``, in the panel's frame, from its start to its end, between which
+    straight segments leave the curve by at most ``tolerance_m`` [m]."""
     edge = panel.edges[number]
     if edge.kind is EdgeKind.LINE:
         return edge_points(panel, number, np.array([0.0, 1.0]))
@@ -190,12 +197,13 @@ def flatten(panel: Panel, number: int, tolerance_m: float) -> np.ndarray:
 
 
 def outline(panel: Panel, tolerance_m: float = 1e-4) -> np.ndarray:
-    """The outline as a closed polygon [m] (N, 2), first point not repeated."""
+    """Returns the outline of ``panel`` as a closed polygon [m] (N, 2) in its frame, within ``tolerance_m`` [m]; the
+    first point is not repeated."""
     return np.concatenate([flatten(panel, number, tolerance_m)[:-1] for number in range(len(panel.edges))])
 
 
 def area(panel: Panel) -> float:
-    """Area [m^2] inside the curved outline; negative where it runs clockwise."""
+    """Returns the area [m^2] inside the curved outline of ``panel``; negative where it runs clockwise."""
     nodes, weights = _gauss()
     total = 0.0
     for number, edge in enumerate(panel.edges):
@@ -208,9 +216,7 @@ def area(panel: Panel) -> float:
 
 
 def seams(pattern: Pattern) -> list[SeamLine]:
-    """Returns a ``SeamLine`` for each stitch of ``pattern``, in order: the lengths [m] of its two edges, and their
-    mismatch.
-    """
+    """Returns a ``SeamLine`` for each stitch of ``pattern``, in order."""
     result = []
     for stitch in pattern.stitches:
         first, second = (edge_length(pattern.panel(ref.panel), ref.edge) for ref in (stitch.first, stitch.second))
@@ -219,7 +225,8 @@ def seams(pattern: Pattern) -> list[SeamLine]:
 
 
 def stitch_ends(pattern: Pattern, stitch: Stitch, *, reverse: bool = False) -> np.ndarray:
-    """World distances [m] (2,) of the corners that ``stitch`` joins, panels as placed; ``reverse``: the other way."""
+    """Returns the distances [m] (2,) in the world between the corners that ``stitch`` joins at each of its ends, panels
+    as placed. With ``reverse`` it is sewn the other way round."""
     ends = []
     for ref in (stitch.first, stitch.second):
         panel = pattern.panel(ref.panel)
@@ -233,7 +240,8 @@ def stitch_ends(pattern: Pattern, stitch: Stitch, *, reverse: bool = False) -> n
 
 
 def first_crossing(polygon: np.ndarray) -> np.ndarray | None:
-    """A point (2,) where the closed ``polygon`` [m] (N, 2) meets itself, or None; neighbours may share their end."""
+    """Returns a point [m] (2,) where the closed ``polygon`` [m] (N, 2) meets itself, or None. Neighbouring sides may
+    share their end."""
     start, end = polygon, np.roll(polygon, -1, axis=0)
     count = len(polygon)
     low, high = np.minimum(start, end) - TOUCH_M, np.maximum(start, end) + TOUCH_M
@@ -279,7 +287,7 @@ def _segment_distance(p: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray
 
 
 def check_pattern(pattern: Pattern) -> None:
-    """Refuses panels that run clockwise, cross themselves, or have sizes that no garment has."""
+    """Raises ``InputError`` for panels that run clockwise, cross themselves, or have sizes that no garment has."""
     largest = 0.0
     for panel in pattern.panels:
         polygon = outline(panel)
@@ -299,7 +307,7 @@ def check_pattern(pattern: Pattern) -> None:
                 f"panel {panel.name}",
                 expected="a counter-clockwise outline, the right side of the cloth up",
                 got=f"a clockwise one of area {area(panel):.6f} m^2",
-                cure="Mirror the panel (garmentcode.mirrored) or reverse its edges.",
+                cure="Mirror the panel (garmentcode.mirror_panel) or reverse its edges.",
             )
     if largest < SMALLEST_GARMENT_M:
         _refuse_size("pattern", f"a panel of at least {SMALLEST_GARMENT_M} m", largest)
@@ -315,7 +323,7 @@ def _refuse_size(name: str, expected: str, size: float) -> None:
 
 
 def inside(points: np.ndarray, polygon: np.ndarray) -> np.ndarray:
-    """Whether each of ``points`` (N, 2) lies inside the closed ``polygon`` (M, 2), by counting crossings."""
+    """Returns which of ``points`` (N, 2) lie inside the closed ``polygon`` (M, 2), bool (N,), by counting crossings."""
     within = np.zeros(len(points), dtype=bool)
     x, y = points.T
     for (ax, ay), (bx, by) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
@@ -326,5 +334,5 @@ def inside(points: np.ndarray, polygon: np.ndarray) -> np.ndarray:
 
 
 def boundary_distance(points: np.ndarray, polygon: np.ndarray) -> np.ndarray:
-    """Distances [m] (N,) of ``points`` (N, 2) to the sides of the closed ``polygon`` (M, 2)."""
+    """Returns the distances [m] (N,) of ``points`` [m] (N, 2) from the sides of the closed ``polygon`` [m] (M, 2)."""
     return line_distance(points, np.concatenate([polygon, polygon[:1]]))

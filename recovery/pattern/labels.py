@@ -18,7 +18,8 @@ GRID = 16  # places tried along each side of the piece's box
 
 
 class Label(NamedTuple):
-    """A text of ``lines`` on a piece, ``height_m`` high. The base line of the first begins at ``at`` [m] (2,).
+    """A text of ``lines`` on a piece, in letters ``height_m`` [m] high. The base line of the first begins at ``at`` [m]
+    (2,) in the panel's frame.
 
     An ``upright`` label runs along the grain, from bottom to top.
     """
@@ -29,14 +30,14 @@ class Label(NamedTuple):
     upright: bool = False
 
     def box(self) -> tuple[np.ndarray, np.ndarray]:
-        """The lower left and the upper right corner [m] of the text."""
+        """Returns the lower left and the upper right corner [m] (2,) of the text."""
         width, height = _size(self.lines, self.height_m)
         below = height - self.height_m
         low, high = ((-self.height_m, 0.0), (below, width)) if self.upright else ((0.0, -below), (width, self.height_m))
         return self.at + np.array(low), self.at + np.array(high)
 
     def baselines(self) -> list[tuple[np.ndarray, str]]:
-        """The start [m] (2,) of every line and its text."""
+        """Returns the start [m] (2,) of every line's base line, and the line."""
         step = LINE_SHARE * self.height_m * np.array([1.0, 0.0] if self.upright else [0.0, -1.0])
         return [(self.at + number * step, line) for number, line in enumerate(self.lines)]
 
@@ -53,10 +54,12 @@ def place_label(
     marks: np.ndarray,
     heights_m: Sequence[float] = HEIGHTS_M,
 ) -> Label:
-    """The label of ``lines`` inside ``outline`` [m] (N, 2), the nearest place to the middle of the grain line.
+    """Returns the label of ``lines`` inside ``outline`` [m] (N, 2), at the nearest place to the middle of the grain
+    line.
 
-    The first of ``heights_m`` that fits is taken; upright only where a level one could not be read. ``grain`` (2,
-    2) and the places ``marks`` [m] (M, 2) stay clear. Where none fits, the last lies at the grain line's middle.
+    The first of ``heights_m`` [m] that fits is taken; upright only where a level one could not be read. The line
+    ``grain`` [m] (2, 2) and the points ``marks`` [m] (M, 2) stay clear. Where none fits, the last lies at the grain
+    line's middle.
     """
     middle = grain.mean(axis=0)
     # Sides in steps shorter than any letter is high: a box that none of them touches is inside or outside as a whole.

@@ -19,7 +19,7 @@ from drape.geometry.sections import convex_hull, level_section
 
 STEP_M = 0.01  # between the heights at which the trunk is measured
 BESIDE_M = 1e-4  # planes beside the middle: vertices lie exactly on it
-# Patterns come in one more than garments that are sewn and stored.
+# Patterns come in one size more than garments that are sewn and stored.
 PATTERN_STEPS = STEPS | {"XXL": 3}
 # Growth [m] per size; girths whole, half widths half.
 GROWTH_M = {
@@ -30,7 +30,6 @@ GROWTH_M = {
     "calf_girth": 0.024,
     "arm_girth": 0.028,
     "wrist_girth": 0.012,
-    "neck_girth": 0.020,
     "neck_half_width": 0.003,
     "shoulder_x": 0.012,
     "underarm_y": -0.008,  # armholes deepen
@@ -41,7 +40,7 @@ GROWTH_M = {
 
 @dataclass(frozen=True, eq=False)
 class BodyMeasurements:
-    """Lengths [m] of a body at rest in the T-pose; heights are y, reaches are x on the left side.
+    """The measures [m] of a body at rest in the T-pose; heights are y, reaches are x on the left side.
 
     ``heights`` and ``girths`` (N,) give the tape around the trunk (both legs below the crotch), ``front_z`` and
     ``back_z`` how far the trunk reaches. Arm girths are taken a quarter down the upper arm and at the wrist.
@@ -52,9 +51,7 @@ class BodyMeasurements:
 
     neck_y: float
     neck_half_width: float
-    neck_girth: float
     shoulder_x: float
-    shoulder_y: float
     underarm_y: float
     chest_girth: float
     waist_y: float
@@ -85,18 +82,19 @@ class BodyMeasurements:
         return 0.5 * self.longer_m
 
     def girth_at(self, y: float) -> float:
-        """The tape [m] around the trunk at height ``y``."""
+        """Returns the girth [m] of the trunk at the height ``y`` [m], as a tape around it reads."""
         return float(np.interp(y, self.heights, self.girths))
 
 
 def section(vertices: np.ndarray, faces: np.ndarray, axis: int, value: float) -> np.ndarray:
-    """Points [m] (N, 3) where the edges of the triangles cross the plane x_axis = ``value``."""
+    """Returns points [m] (N, 3) where edges of the triangles cross the plane x_axis = ``value`` [m]."""
     level = np.roll(vertices, 1 - axis, axis=1)
     return np.roll(level_section(faces, level, value).points(level), axis - 1, axis=1)
 
 
 def tape(points: np.ndarray) -> float:
-    """Perimeter [m] of the convex hull of plane ``points`` (N, 2), which a taut tape reads."""
+    """Returns the perimeter [m] of the convex hull of ``points`` [m] (N, 2), which a taut tape reads. Raises
+    ``BodyError`` where there is none."""
     hull = convex_hull(points)
     if hull is None:
         raise BodyError(
@@ -109,7 +107,7 @@ def tape(points: np.ndarray) -> float:
 
 
 def measure_body(body: BodyModel) -> BodyMeasurements:
-    """The measurements of ``body``, both arms spread."""
+    """Returns the measurements of ``body`` in its rest pose, both arms spread."""
     vertices, joints = body.v_template, body.joints_template
     place = {name: joints[JOINT_NAMES.index(name)] for name in JOINT_NAMES}
     arms = [JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("elbow", "wrist", "hand")]
@@ -128,9 +126,8 @@ def measure_body(body: BodyModel) -> BodyMeasurements:
     inner_arm = float(shoulder[0] + 0.05 * (elbow[0] - shoulder[0]))
     armpit = across(inner_arm)
     underarm_y = float(armpit[:, 1].min())
-    reach = inner_arm
     heights = np.arange(place["left_ankle"][1], underarm_y, STEP_M)
-    girths = np.array([tape(level(y, reach)) for y in heights])
+    girths = np.array([tape(level(y, inner_arm)) for y in heights])
     around_waist = (heights > place["spine1"][1]) & (heights < place["spine3"][1])
     around_hips = (heights > place["left_hip"][1] - 0.12) & (heights < place["spine1"][1])
     waist = int(np.flatnonzero(around_waist)[girths[around_waist].argmin()])
@@ -149,9 +146,7 @@ def measure_body(body: BodyModel) -> BodyMeasurements:
     return BodyMeasurements(
         neck_y=float(place["neck"][1]),
         neck_half_width=0.5 * float(np.ptp(neck[:, 0])),
-        neck_girth=tape(neck),
         shoulder_x=float(shoulder[0]),
-        shoulder_y=float(across(float(shoulder[0]))[:, 1].max()),
         underarm_y=underarm_y,
         chest_girth=float(girths[heights > place["spine3"][1] + 0.05].max()),
         waist_y=float(heights[waist]),
@@ -180,9 +175,9 @@ def measure_body(body: BodyModel) -> BodyMeasurements:
 
 
 def in_size(body: BodyMeasurements, size: str) -> BodyMeasurements:
-    """The measurements that a pattern of ``size`` is drafted for, ``body`` being size M.
+    """Returns the measurements that a pattern of ``size`` is drafted for, where ``body`` has size M.
 
-    Raises ``NotFound`` for a size beyond the grade.
+    Raises ``NotFound`` for a size that is none of ``PATTERN_STEPS``.
     """
     if size not in PATTERN_STEPS:
         raise NotFound(

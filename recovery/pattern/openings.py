@@ -25,9 +25,10 @@ COLLAR_LEAN_M = 0.01  # by which each end of a collar's outer edge is longer: it
 
 
 def with_collar(pattern: Pattern, width_m: float) -> Pattern:
-    """Returns ``pattern`` with a straight collar as long as its neckline, open in the middle of the front, sewn to it.
+    """Returns ``pattern`` with a straight collar ``width_m`` [m] wide and as long as its neckline sewn to it, open in
+    the middle of the front.
 
-    Nothing turns it over when it is draped. Its ends lean outward.
+    Nothing turns it over when it is draped. Its ends lean outward. Raises ``InputError`` for a pattern without a neck.
     """
     (neck,) = openings_called(pattern, "neck", COLLAR)
     return _with_strip(
@@ -36,10 +37,11 @@ def with_collar(pattern: Pattern, width_m: float) -> Pattern:
 
 
 def with_ribs(pattern: Pattern, name: str, width_m: float, shorter: float) -> Pattern:
-    """Returns ``pattern`` whose bands ``name``, which were cut off, are straight ribs, closed to rings.
+    """Returns ``pattern`` with its cut off bands of the kind ``name`` replaced by straight ribs ``width_m`` [m] wide,
+    closed to rings.
 
-    A rib is ``shorter`` by that share than what it is sewn to, and its seam is at the back of a neck, below an arm, at
-    the side of a hem.
+    A rib is ``shorter`` by that share than what it is sewn to, and its seam is at the back of a neck, below an arm, or
+    at the side of a hem.
     """
     word = name.removesuffix("s")
     bands = {panel.name for panel in pattern.panels if panel.name.endswith(f"_{word}")}
@@ -51,10 +53,10 @@ def with_ribs(pattern: Pattern, name: str, width_m: float, shorter: float) -> Pa
     pattern = replace(
         pattern,
         panels=tuple(panel for panel in pattern.panels if panel.name not in bands),
-        stitches=tuple(one for one in pattern.stitches if not {one.first.panel, one.second.panel} & bands),
+        stitches=tuple(s for s in pattern.stitches if not {s.first.panel, s.second.panel} & bands),
         panel_order=None,
     )
-    rings = [one for one in openings(pattern) if set(one.refs) & held]
+    rings = [opening for opening in openings(pattern) if set(opening.refs) & held]
     first: dict[str, Callable[[np.ndarray], tuple[float, ...]]] = {
         "rib_neck": lambda place: (-place[2],),
         "rib_cuffs": lambda place: (-place[1],),
@@ -122,18 +124,16 @@ Corner = tuple[str, int]  # panel, and the edge that starts there
 
 
 class PatternOpening(NamedTuple):
-    """Edges round an opening of the sewn garment, in the order in which they follow each other.
-
-    ``centre`` [m] (3,) is the mean of their middles, panels as placed.
-    """
+    """An opening of the sewn garment: the edges ``refs`` round it, in the order in which they follow each other, and
+    its ``centre`` [m] (3,) in the world, the mean of their middles, panels as placed."""
 
     refs: tuple[EdgeRef, ...]
     centre: np.ndarray
 
 
 def openings(pattern: Pattern) -> list[PatternOpening]:
-    """The openings of the sewn ``pattern``: closed lines of edges that no stitch holds."""
-    place = {}  # of a panel's corner: the same for all that are sewn together
+    """Returns the openings of the sewn ``pattern``: closed lines of edges that no stitch holds."""
+    place = {}  # from a corner towards the one that stands for all corners sewn together
     for panel in pattern.panels:
         place |= {(panel.name, number): (panel.name, number) for number in range(len(panel.edges))}
 
@@ -147,8 +147,8 @@ def openings(pattern: Pattern) -> list[PatternOpening]:
 
     for stitch in pattern.stitches:
         there = ends(stitch.second) if stitch.right_to_wrong else ends(stitch.second)[::-1]
-        for one, other in zip(ends(stitch.first), there, strict=True):
-            place[root(one)] = root(other)
+        for corner, other in zip(ends(stitch.first), there, strict=True):
+            place[root(corner)] = root(other)
     sewn = partners(pattern)
     left = [ref for ref in pattern.edge_refs() if ref not in sewn]
     rings = []
@@ -169,7 +169,7 @@ def _from(
 
 
 def centre_of(pattern: Pattern, refs: Sequence[EdgeRef]) -> np.ndarray:
-    """The mean [m] (3,) of the middles of edges, panels as placed."""
+    """Returns the mean [m] (3,) of the middles of the edges ``refs`` in the world, panels as placed."""
     panels = [pattern.panel(ref.panel) for ref in refs]
     middles = [
         panel.placement.apply(geometry.edge_points(panel, ref.edge, np.array([0.5])))[0]
@@ -179,16 +179,17 @@ def centre_of(pattern: Pattern, refs: Sequence[EdgeRef]) -> np.ndarray:
 
 
 def openings_by_name(pattern: Pattern) -> dict[str, list[PatternOpening]]:
-    """The openings of ``pattern`` as neck, waist, hem and cuff; armholes without sleeves are none of these.
+    """Returns the openings of ``pattern`` by the names neck, waist, hem and cuff; armholes without sleeves have none.
 
     Raises ``InputError`` where they are not those of a top, trousers or a skirt.
     """
     every = openings(pattern)
-    middle = sorted((one for one in every if abs(one.centre[0]) < ASIDE_M), key=lambda one: -one.centre[1])
-    aside = [one for one in every if abs(one.centre[0]) >= ASIDE_M]
+    middle = [opening for opening in every if abs(opening.centre[0]) < ASIDE_M]
+    middle.sort(key=lambda opening: -opening.centre[1])
+    aside = [opening for opening in every if abs(opening.centre[0]) >= ASIDE_M]
     if (len(middle), len(aside)) == (2, 2):
         of_neck = {ref.panel for ref in middle[0].refs}
-        sleeves = [one for one in aside if not of_neck & {ref.panel for ref in one.refs}]
+        sleeves = [opening for opening in aside if not of_neck & {ref.panel for ref in opening.refs}]
         return {"neck": middle[:1], "hem": middle[1:], "cuff": sleeves}
     if (len(middle), len(aside)) == (2, 0):
         return {"waist": middle[:1], "hem": middle[1:]}
@@ -203,9 +204,8 @@ def openings_by_name(pattern: Pattern) -> dict[str, list[PatternOpening]]:
 
 
 def openings_called(pattern: Pattern, name: str, part: str) -> list[PatternOpening]:
-    """Returns the openings of ``pattern`` called ``name``. Raises ``InputError`` where it has none, for the option
-    ``part``, which needs one.
-    """
+    """Returns the openings of ``pattern`` called ``name``, such as "neck". Raises ``InputError`` where it has none, for
+    the part ``part`` of a style, which needs one."""
     by_name = openings_by_name(pattern)
     if not by_name.get(name):
         raise InputError(

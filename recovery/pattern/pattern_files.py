@@ -27,7 +27,11 @@ def export_pattern(
     dxf_unit_mm: float = 1.0,
     dxf_dialect: str = "aama",
 ) -> list[Path]:
-    """Writes ``folder``/NAME.FORMAT for every format and returns the paths; only the JSON holds the stitches."""
+    """Writes ``folder``/NAME.FORMAT for each of ``formats`` and returns the paths; only the JSON holds the stitches.
+
+    ``allowance_m`` [m] is the width of the seam allowances. The other options are those of ``write_pdf`` and
+    ``write_dxf``.
+    """
     if unknown := [name for name in formats if name not in FORMATS]:
         raise InputError("format", expected=f"some of {FORMATS}", got=f"{unknown}", cure="Choose among them.")
     sheet = make_sheet(pattern, allowance_m=allowance_m)

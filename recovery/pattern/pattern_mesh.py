@@ -30,9 +30,11 @@ MOST_FLIPS = 200  # of inner edges at sewn corners
 
 
 def triangulate(boundary: np.ndarray, edge_length_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points [m] (N, 2) and triangles (F, 3), counter-clockwise, inside the simple polygon ``boundary`` [m] (B, 2).
+    """Returns points [m] (N, 2) and triangles (F, 3), counter-clockwise, inside the simple polygon ``boundary`` [m] (B,
+    2), with sides of about ``edge_length_m`` [m].
 
-    The first B points are those of ``boundary``, in order, and every one of its sides is a side of one triangle.
+    The first B points are those of ``boundary``, in order, and every one of its sides is a side of one triangle. Raises
+    ``InputError`` for lengths that give too many points, ``MeshError`` for a polygon that is not simple.
     """
     boundary = np.array(boundary, dtype=np.float64)
     size = np.ptp(boundary, axis=0) / edge_length_m if edge_length_m > 0.0 else np.full(2, np.inf)
@@ -55,7 +57,7 @@ def triangulate(boundary: np.ndarray, edge_length_m: float) -> tuple[np.ndarray,
 
 
 def corner_angles_deg(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Angles [deg] (F, 3) at the corners of the triangles."""
+    """Returns the angles [deg] (F, 3) at the corners of the triangles ``faces`` (F, 3) of ``points`` (N, 2)."""
     corners = points[faces]
     first = np.roll(corners, -1, axis=1) - corners
     second = np.roll(corners, 1, axis=1) - corners
@@ -110,15 +112,15 @@ def _not_simple(got: str) -> MeshError:
 
 @dataclass(frozen=True, eq=False)
 class PatternMesh:
-    """Triangulated panels and their seams; a vertex of a panel is one row, a node is one or several vertices.
+    """The triangulated panels of a ``pattern`` and their seams. A panel vertex belongs to one panel; a node of the sewn
+    garment is one panel vertex or several.
 
-    ``rest`` [m] (P, 2) panel vertices, each in its panel's frame; ``panel`` (P,) and ``face_panel`` (F,) numbers of
-    panels; ``panel_faces`` (F, 3) triangles as panel vertices and ``faces`` (F, 3) as nodes, both
-    counter-clockwise from outside (a panel sewn right to wrong is turned in both);
-    ``node_of_panel_vertex`` (P,), onto ``node_count`` nodes, is the one-to-many map of the seams;
-    ``seam_pairs`` (S, 2) panel vertices that are sewn together and ``seam_of_pair`` (S,) the number of the stitch;
-    ``edge_vertices`` the panel vertices along every edge, both ends included. ``rest`` as (2 P,) is ``weights``
-    (2 P, 2 K) times the positions of ``controls`` as (2 K,).
+    ``rest`` [m] (P, 2): panel vertices, each in its panel's frame. ``panel`` (P,) and ``face_panel`` (F,): numbers of
+    panels. ``panel_faces`` (F, 3): triangles as panel vertices, and ``faces`` (F, 3) as nodes, both counter-clockwise
+    from outside (a panel sewn right to wrong is turned in both). ``node_of_panel_vertex`` (P,), onto ``node_count``
+    nodes: the one-to-many map of the seams. ``seam_pairs`` (S, 2): panel vertices that are sewn together, and
+    ``seam_of_pair`` (S,) the number of the stitch. ``edge_vertices``: the panel vertices along every edge, both ends
+    included. ``rest`` as (2 P,) is ``weights`` (2 P, 2 K) times the positions of ``controls`` as (2 K,).
     """
 
     pattern: Pattern
@@ -136,16 +138,17 @@ class PatternMesh:
     weights: scipy.sparse.csr_matrix
 
     def rest_at(self, positions: np.ndarray) -> np.ndarray:
-        """Panel vertices [m] (P, 2) for control points at ``positions`` [m] (K, 2)."""
+        """Returns the panel vertices [m] (P, 2) for control points at ``positions`` [m] (K, 2)."""
         return (self.weights @ positions.reshape(-1)).reshape(-1, 2)
 
     def folded(self, rest: np.ndarray) -> np.ndarray:
-        """Numbers of the triangles that are turned over or flat when the panel vertices lie at ``rest`` [m] (P, 2)."""
+        """Returns the numbers (n,) of the triangles that are turned over or flat when the panel vertices lie at
+        ``rest`` [m] (P, 2)."""
         areas = meshes.signed_areas(rest, self.panel_faces)
         return np.nonzero(areas * np.sign(meshes.signed_areas(self.rest, self.panel_faces)) <= 0.0)[0]
 
     def placed(self) -> np.ndarray:
-        """World positions [m] (P, 3) of the panel vertices, panels placed flat and not yet sewn."""
+        """Returns world positions [m] (P, 3) of the panel vertices, panels placed flat and not yet sewn."""
         world = np.zeros((len(self.rest), 3))
         for number, panel in enumerate(self.pattern.panels):
             mine = self.panel == number
@@ -153,13 +156,13 @@ class PatternMesh:
         return world
 
     def nodes_from(self, values: np.ndarray) -> np.ndarray:
-        """Means (N, C) over each node's panel vertices of ``values`` (P, C)."""
+        """Returns for each node the mean (N, C) of ``values`` (P, C) over its panel vertices."""
         total = np.zeros((self.node_count, values.shape[1]))
         np.add.at(total, self.node_of_panel_vertex, values)
         return total / np.bincount(self.node_of_panel_vertex, minlength=self.node_count)[:, None]
 
     def smallest_angles_deg(self) -> dict[str, float]:
-        """The smallest corner [deg] of any triangle, by panel."""
+        """Returns the smallest angle [deg] of any triangle of each panel, by the panel's name."""
         least = corner_angles_deg(self.rest, self.panel_faces).min(axis=1)
         return {
             panel.name: float(least[self.face_panel == number].min())
@@ -168,7 +171,8 @@ class PatternMesh:
 
 
 def segment_counts(pattern: Pattern, edge_length_m: float) -> dict[EdgeRef, int]:
-    """Segments that every edge is cut into for a mesh of ``edge_length_m``; as many on both sides of a stitch."""
+    """Returns the number of segments of every edge in a mesh of ``edge_length_m`` [m]; both edges of a stitch have as
+    many. Raises ``InputError`` for a length that is not positive."""
     if not 0.0 < edge_length_m < np.inf:
         raise InputError("edge_length_m", expected="a length > 0", got=f"{edge_length_m}", cure="Pass metres.")
     lengths = {ref: geometry.edge_length(pattern.panel(ref.panel), ref.edge) for ref in pattern.edge_refs()}
@@ -180,7 +184,8 @@ def segment_counts(pattern: Pattern, edge_length_m: float) -> dict[EdgeRef, int]
 
 
 def mesh_pattern(pattern: Pattern, edge_length_m: float) -> PatternMesh:
-    """Checks ``pattern``, triangulates its panels with sides of about ``edge_length_m``, joins them at the stitches.
+    """Returns the mesh of ``pattern``: its panels, checked, triangulated with sides of about ``edge_length_m`` [m] and
+    joined at the stitches.
 
     Raises ``InputError`` for an unfit pattern and ``MeshError`` where sewing does not give a surface.
     """
@@ -352,11 +357,11 @@ def _check_surface(pattern: Pattern, faces: np.ndarray, face_panel: np.ndarray, 
 
 
 def on_finer_mesh(coarse: PatternMesh, nodes: np.ndarray, fine: PatternMesh) -> np.ndarray:
-    """Returns the nodes [m] (N, 3) of ``fine``, laid on the cloth of ``coarse`` at ``nodes`` by their places in the
-    panels.
+    """Returns ``nodes`` (M, 3), positions or moves [m] of the nodes of ``coarse``, interpolated in its triangles at the
+    nodes of ``fine``: (N, 3).
 
-    A panel of ``coarse`` may have been cut in ``fine``. The rest of it then has its name, and the parts have its frame
-    and names that begin with its own.
+    Places are those in the flat panels. A panel of ``coarse`` may have been cut in ``fine``. The rest of it then has
+    its name, and the parts have its frame and names that begin with its own.
     """
     there, here = ([panel.name for panel in mesh.pattern.panels] for mesh in (coarse, fine))
     whole = [_whole(name, there) for name in here]
@@ -366,10 +371,10 @@ def on_finer_mesh(coarse: PatternMesh, nodes: np.ndarray, fine: PatternMesh) -> 
         mine, faces = fine.panel == number, coarse.face_panel == parent
         points = np.column_stack([fine.rest[mine], np.zeros(mine.sum())])
         triangles = coarse.panel_faces[faces]
-        found = closest.closest_point(points, flat, triangles)
+        nearest = closest.closest_point(points, flat, triangles).face
         # Points outside a coarse chord are carried on along the nearest triangle.
-        weights = closest.barycentric(points, flat[triangles[found.face]])
-        positions[mine] = np.einsum("nk,nkc->nc", weights, nodes[coarse.faces[faces][found.face]])
+        weights = closest.barycentric(points, flat[triangles[nearest]])
+        positions[mine] = np.einsum("nk,nkc->nc", weights, nodes[coarse.faces[faces][nearest]])
     return fine.nodes_from(positions)
 
 

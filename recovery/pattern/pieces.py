@@ -50,7 +50,8 @@ CLIPPER: Any = pyclipper  # compiled: a type checker does not see its names
 
 
 def dart_legs(pattern: Pattern, panel: Panel, tolerance_m: float) -> set[int]:
-    """Numbers of the edges that are legs of darts: neighbours that are sewn together, with a wedge between them."""
+    """Returns the numbers of the edges of ``panel`` that are legs of darts: neighbours that are sewn together, with a
+    wedge between them. Curves are flattened to ``tolerance_m`` [m]."""
     sewn = {}
     for stitch in pattern.stitches:
         if stitch.first.panel == stitch.second.panel == panel.name:
@@ -75,11 +76,12 @@ def dart_legs(pattern: Pattern, panel: Panel, tolerance_m: float) -> set[int]:
 
 
 def slits(polygon: np.ndarray, reach_m: float, mitre: float) -> list[tuple[np.ndarray, float]]:
-    """Middle lines [m] (N, 2) of hollows of the counter-clockwise ``polygon`` narrower than twice ``reach_m``, and half
-    the widths [m] of the cuts there; each runs out of its hollow by ``mitre`` times ``reach_m``.
+    """Returns cuts into the hollows of the counter-clockwise ``polygon`` [m] (M, 2) that are narrower than twice
+    ``reach_m`` [m]: for each its middle line [m] (N, 2), and half its width [m].
 
-    A point of the middle line is the centre of the largest circle that touches the outline from outside at one place
-    (the medial axis; Blum 1967). It counts where the circle touches the other side across the hollow.
+    A cut runs out of its hollow by ``mitre`` times ``reach_m``. A point of the middle line is the centre of the largest
+    circle that touches the outline from outside at one place (the medial axis; Blum 1967). It counts where the circle
+    touches the other side across the hollow.
     """
     side = np.roll(polygon, -1, axis=0) - polygon
     angle = np.arctan2(-side[:, 0], side[:, 1])  # of the normals
@@ -100,13 +102,8 @@ def slits(polygon: np.ndarray, reach_m: float, mitre: float) -> list[tuple[np.nd
         return boundary_distance(point + radius[:, None] * normal, polygon) > 0.999 * radius - 1e-7
 
     number = np.flatnonzero(~is_free(high))
-    point, normal, corner, high, low = (
-        point[number],
-        normal[number],
-        corner[number],
-        high[number],
-        np.zeros(len(number)),
-    )
+    point, normal, high = (values[number] for values in (point, normal, high))
+    corner, low = corner[number], np.zeros(len(number))
     for _ in range(14):
         middle = 0.5 * (low + high)
         free = is_free(middle)
@@ -132,7 +129,8 @@ def slits(polygon: np.ndarray, reach_m: float, mitre: float) -> list[tuple[np.nd
 
 @dataclass(frozen=True, eq=False)
 class Notch:
-    """A small cut from ``point`` [m] (2,) on the cutting line along ``inward`` (2,)."""
+    """A small cut of ``NOTCH_DEPTH_M`` from ``point`` [m] (2,) on the cutting line along the unit vector ``inward``
+    (2,)."""
 
     point: np.ndarray
     inward: np.ndarray
@@ -142,9 +140,9 @@ class Notch:
 class Piece:
     """A panel ready to be cut, in the panel's own frame [m].
 
-    ``sewing`` (N, 2) and ``cutting`` (M, 2) are closed polygons, equal without allowance; ``allowances_m`` (E,) are
-    those of the edges; ``grain`` (2, 2) runs along the warp; ``label`` lies inside the sewing line; ``seam_marks`` are
-    places inside it and the numbers of the stitches there.
+    ``sewing`` (N, 2) and ``cutting`` (M, 2) are closed polygons, the same without allowance; ``allowances_m`` [m] has
+    one number for each edge; ``grain`` (2, 2) are the ends of a line along the warp; ``label`` lies inside the sewing
+    line; ``seam_marks`` are places (2,) inside it, each with the number of the stitch there.
     """
 
     panel: Panel
@@ -159,7 +157,8 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class CuttingSheet:
-    """Pieces on a sheet of ``width_m`` by ``height_m``, y up; ``offsets`` [m] are the origins of the panels' frames."""
+    """A sheet of ``width_m`` by ``height_m`` [m] with its ``title`` and ``pieces``. ``offsets`` [m] (P, 2) are the
+    origins of the panels' frames on it, from its lower left corner, y up."""
 
     title: str
     pieces: tuple[Piece, ...]
@@ -169,9 +168,11 @@ class CuttingSheet:
 
 
 def make_sheet(pattern: Pattern, *, allowance_m: float = SEAM_M, hem_m: float | None = None) -> CuttingSheet:
-    """All pieces of ``pattern`` with ``allowance_m`` around each, in rows no wider than the cloth where they fit.
+    """Returns all pieces of ``pattern`` with ``allowance_m`` [m] around each, in rows no wider than the cloth where
+    they fit.
 
-    Hems have ``hem_m`` [m]: by default 25 mm, or the seams' where that is more; nothing without a seam allowance.
+    Hems have ``hem_m`` [m]: by default 25 mm, or the seams' allowance where that is more, and nothing without a seam
+    allowance. Raises ``InputError`` for allowances outside 0 to 0.1 m.
     """
     if hem_m is None:
         hem_m = max(HEM_M, allowance_m) if allowance_m else 0.0
@@ -201,12 +202,13 @@ def make_sheet(pattern: Pattern, *, allowance_m: float = SEAM_M, hem_m: float | 
 
 
 def is_fold(edge: Edge) -> bool:
-    """Whether an open edge, by its label, lies on the fold of the cloth: it is not cut."""
+    """Returns whether an open edge lies on the fold of the cloth, by its label: it is not cut."""
     return re.search(r"(?<![a-z])fold(?![a-z])", (edge.label or "").lower()) is not None
 
 
 def hems(pattern: Pattern) -> set[EdgeRef]:
-    """The open edges that are turned up; the others, a neckline, an armhole or a waist, have a facing or a band.
+    """Returns the open edges that are turned up; the others, a neckline, an armhole or a waist, have a facing or a
+    band.
 
     A label that says what an edge is decides. Otherwise it is turned up if it bends by less than ``HEM_BEND`` of its
     chord, and if it lies in the lower half of its panel, as placed, or stands upright like the cuff of a spread arm.
@@ -234,30 +236,32 @@ def hems(pattern: Pattern) -> set[EdgeRef]:
 
 
 def side_of(panel: Panel) -> str:
-    """Returns ``front``, ``back`` or ``side``, by where the placed panel faces."""
+    """Returns "front", "back" or "side", by where the placed panel faces."""
     facing = float(panel.placement.matrix()[2, 2])
     return "front" if facing > FACING else "back" if facing < -FACING else "side"
 
 
 def cut_count(panel: Panel) -> int:
-    """How many times a piece is cut: a band twice, outside and facing."""
+    """Returns how many times a piece is cut: 2 for a band, as outside and facing, otherwise 1."""
     return 2 if any(FACED in (edge.label or "") for edge in panel.edges) else 1
 
 
 def is_of_back(pattern: Pattern, ref: EdgeRef, other: EdgeRef) -> bool:
-    """Whether the seam of both edges has two notches in its middle: one side is of the back and none of the front."""
-    sides = {side_of(pattern.panel(one.panel)) for one in (ref, other)}
+    """Returns whether the seam of both edges has two notches in its middle: one of its panels is of the back and none
+    of the front."""
+    sides = {side_of(pattern.panel(edge.panel)) for edge in (ref, other)}
     return "back" in sides and "front" not in sides
 
 
 def mirror_words(pattern: Pattern) -> dict[str, tuple[str, ...]]:
-    """By a panel's name what else it is: the mirror image of another, the same as another, or symmetric itself."""
+    """Returns by a panel's name what else it is, as words: ("mirror of", NAME), ("same as", NAME) or ("symmetric",).
+    Panels that are none of these are left out."""
     names = [panel.name for panel in pattern.panels]
-    found = find_symmetries(pattern, tolerance_m=MIRROR_M)
-    words: dict[str, tuple[str, ...]] = {names[one.first]: ("symmetric",) for one in found.within}
-    for one in found.between:
-        kind = "mirror of" if one.kind is Kind.REFLECTION else "same as"
-        words[names[one.second]] = (kind, names[one.first])
+    symmetries = find_symmetries(pattern, tolerance_m=MIRROR_M)
+    words: dict[str, tuple[str, ...]] = {names[symmetry.first]: ("symmetric",) for symmetry in symmetries.within}
+    for symmetry in symmetries.between:
+        kind = "mirror of" if symmetry.kind is Kind.REFLECTION else "same as"
+        words[names[symmetry.second]] = (kind, names[symmetry.first])
     return words
 
 
@@ -296,8 +300,8 @@ def _piece(pattern: Pattern, panel: Panel, allowance_m: float, hem_m: float, twi
     kept: list[Notch] = []
     # In a hollow corner the foot of the perpendicular lies inside the piece, beside a hem outside of it.
     off_m = boundary_distance(np.array([notch.point for notch in notches]).reshape(-1, 2), cutting)
-    for notch in (one for one, off in zip(notches, off_m, strict=True) if off < 2e-4):
-        if all(np.linalg.norm(notch.point - other.point) > NOTCH_GAP_M for other in kept):
+    for notch, off in zip(notches, off_m, strict=True):
+        if off < 2e-4 and all(np.linalg.norm(notch.point - other.point) > NOTCH_GAP_M for other in kept):
             kept.append(notch)
     words = [pattern.name, panel.name, f"cut {cut_count(panel)}{' on the fold' if folds else ''}", *twin]
     words += [pattern.material] if pattern.material else []
@@ -325,7 +329,8 @@ def _inward(panel: Panel, ref: EdgeRef, t: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def offset(polygon: np.ndarray, distance_m: float | np.ndarray) -> np.ndarray:
-    """The counter-clockwise ``polygon`` [m] (N, 2) widened by ``distance_m`` >= 0, corners mitred.
+    """Returns the counter-clockwise ``polygon`` [m] (N, 2) widened by ``distance_m`` [m] >= 0, corners mitred: a
+    polygon [m] (M, 2).
 
     The distance is one for all sides, or one each (N,), that of the side from point n to the next. A corner meets where
     its two lines do; one that would stick out farther than ``MITRE_LIMIT`` times its distance is cut off.

@@ -22,7 +22,7 @@ SHORTEST_EDGE_M = 1e-6
 
 
 class EdgeKind(StrEnum):
-    """The curve of an edge from its start to its end."""
+    """The curve of an edge from its start to its end: a line, a Bezier curve, or an arc of a circle."""
 
     LINE = "line"
     QUADRATIC = "quadratic"
@@ -39,10 +39,9 @@ HANDLE_COUNT: Mapping[EdgeKind, int] = MappingProxyType(
 class Edge:
     """One side of a panel, from vertex ``start`` to vertex ``end``.
 
-    ``handles`` are (along, left) in the edge's own frame: shares of its chord along it and to its left,
-    so that a curve keeps its shape when the chord moves. They are the inner Bezier points, or for a
-    circular arc (0.5, h), its highest point: h is positive to the left, beyond 0.5 the arc is more than half
-    a circle.
+    ``handles`` are (along, left) in the edge's own frame: shares of its chord along it and to its left, so that a curve
+    keeps its shape when the chord moves. They are the inner Bezier points, or for a circular arc (0.5, h), its highest
+    point: h is positive to the left, beyond 0.5 the arc is more than half a circle.
     """
 
     start: int
@@ -71,7 +70,7 @@ class Edge:
             )
 
     def reflected(self) -> Edge:
-        """The edge of the mirrored panel: left becomes right."""
+        """Returns the edge of the mirrored panel: left becomes right."""
         return replace(self, handles=tuple((along, -left) for along, left in self.handles))
 
 
@@ -93,17 +92,18 @@ class PanelPlacement:
             check_finite(name, values)
 
     def matrix(self) -> np.ndarray:
-        """The rotation R (3, 3)."""
+        """Returns the rotation R (3, 3)."""
         return Rotation.from_euler("xyz", self.rotation_deg, degrees=True).as_matrix()
 
     def apply(self, points: np.ndarray) -> np.ndarray:
-        """World positions [m] (N, 3) of panel ``points`` [m] (N, 2)."""
+        """Returns world positions [m] (N, 3) of panel ``points`` [m] (N, 2)."""
         return np.asarray(points) @ self.matrix()[:, :2].T + np.array(self.translation_m)
 
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One piece of cloth: corner ``vertices`` [m] (C, 2), each used once, and the closed loop of ``edges``."""
+    """One piece of cloth: corner ``vertices`` [m] (C, 2) in its own frame, each used once, the closed loop of
+    ``edges``, and its ``placement`` in the world."""
 
     name: str
     vertices: np.ndarray
@@ -147,7 +147,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class EdgeRef:
-    """Edge number ``edge`` of the panel named ``panel``."""
+    """A reference to edge number ``edge`` of the panel named ``panel``."""
 
     panel: str
     edge: int
@@ -171,11 +171,11 @@ class Stitch:
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Panels and the stitches that make a garment of them.
+    """The panels of a garment and the stitches that join them.
 
-    ``panel_order`` is the order of names that a data set agreed on, or None. ``material`` is a free note.
-    ``template`` holds what a file said beyond this model (template parameters, constraints), lengths in metres;
-    ``notes`` say what was done to it on the way.
+    ``panel_order`` is the order of names that a data set agreed on, or None. ``material`` is a free note. ``template``
+    holds what a file said beyond this model (template parameters, constraints), lengths in metres; ``notes`` say what
+    reading changed.
     """
 
     name: str
@@ -221,7 +221,7 @@ class Pattern:
                 used[side] = number
 
     def panel(self, name: str) -> Panel:
-        """The panel named ``name``."""
+        """Returns the panel called ``name``. Raises ``InputError`` where there is none."""
         for panel in self.panels:
             if panel.name == name:
                 return panel

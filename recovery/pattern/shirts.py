@@ -35,7 +35,8 @@ FOLD_RAD = -2.4  # of the fall over the stand, nearly flat on it; negative: away
 
 
 def shirt(body: BodyMeasurements, cut: TopCut) -> Design:
-    """The shirt that ``cut`` describes, for ``body``. Raises ``InputError`` as ``tops.top`` does."""
+    """Returns the shirt that ``cut`` describes, drafted for ``body``. Raises ``InputError`` where its lines do not
+    meet."""
     neck, tip, _, hem = corners = lines(body, cut)
     work = Assembly()
     (_, _, front_z), (_, _, back_z) = before_and_behind(body)

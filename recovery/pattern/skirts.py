@@ -33,11 +33,12 @@ GORES_DIFFER_M = 0.005  # by which half of the front's gore is wider than the me
 
 @dataclass(frozen=True)
 class SkirtCut:
-    """Lengths [m]: ``length_m`` from waistband to hem, ``drop_m`` of the skirt's upper edge below the waist.
+    """The measures of a skirt, lengths [m]: ``length_m`` from waistband to hem, ``drop_m`` of the skirt's upper edge
+    below the waist, ease that is added to the body's girths, and the width ``band_m`` of the waistband.
 
-    ``flare_m`` is added to the half width of each panel from waist to hem at least; a circle starts in ``flutes``.
-    A fitted skirt has neither, but any number of ``panels``, which are slashed and ``spread`` for that share of what
-    the hem has more than the waist; 0 leaves it to the side seams, and 1 makes them sectors of a ring.
+    ``flare_m`` is added to the half width of each panel from waist to hem at least; a circle starts in ``flutes``. A
+    fitted skirt has no band and no flutes, but any number of ``panels``, which are slashed and ``spread`` for that
+    share of what the hem has more than the waist; 0 leaves it to the side seams, and 1 makes them sectors of a ring.
     """
 
     name: str
@@ -54,7 +55,8 @@ class SkirtCut:
 
 
 def a_line(body: BodyMeasurements, cut: SkirtCut) -> Design:
-    """An A-line skirt of two ring sectors: flare is spread over the whole width, and gives the hips their room."""
+    """Returns an A-line skirt of two ring sectors: flare is spread over the whole width, and gives the hips their room.
+    Raises ``InputError`` without ease at the hips or a hem below them."""
     top = body.waist_y - cut.drop_m - cut.band_m
     waist = 0.25 * (body.girth_at(top) + cut.waist_ease_m)
     hips = 0.25 * (body.hip_girth + cut.hip_ease_m)
@@ -87,9 +89,10 @@ def a_line(body: BodyMeasurements, cut: SkirtCut) -> Design:
 
 
 def circle(body: BodyMeasurements, cut: SkirtCut) -> Design:
-    """A full circle: two half rings whose inner circle is the waist, hung in flutes.
+    """Returns a full circle skirt: two half rings whose inner circle is the waist, hung in flutes.
 
-    It is as long in every size: half a large circle must be cut from one width of cloth.
+    It is as long in every size: half a large circle must be cut from one width of cloth. Raises ``InputError`` for
+    lengths that cannot be.
     """
     top = body.waist_y - cut.drop_m - cut.band_m
     inner = (body.girth_at(top) + cut.waist_ease_m) / (2.0 * np.pi)
@@ -120,10 +123,12 @@ def circle(body: BodyMeasurements, cut: SkirtCut) -> Design:
 
 
 def panelled_skirt(body: BodyMeasurements, cut: SkirtCut) -> Design:
-    """A skirt of ``cut.panels`` panels without band: curved from waist to hips, straight to the hem, wider there.
+    """Returns a skirt of ``cut.panels`` panels without band: curved from waist to hips, straight to the hem, wider
+    there.
 
     Two are front and back. More are gores, the first in the middle of the front and the next to the wearer's left. The
-    farther behind, the narrower they are, by one width from waist to hem, so that only mirrored gores are alike.
+    farther behind, the narrower they are, by one width from waist to hem, so that only mirrored gores are alike. Raises
+    ``InputError`` without ease at the hips or a hem below them.
     """
     top = body.waist_y - cut.drop_m
     rise, hem = top - body.hip_y, top - cut.length_m - body.longer_m
@@ -191,9 +196,9 @@ def below_waist(
 ) -> list[Side]:
     """Returns the sides of a skirt's panel below the ``waist``, down to the height ``hem`` [m].
 
-    ``waist`` and ``hips`` are points on the viewer's right. The hem is ``flare`` wider on either side, and its ends
-    swing up so that it stays square to the sides. The edge ``upper`` sinks by ``dip`` in the middle; from there to the
-    hips the side is ``curved`` or straight.
+    ``waist`` and ``hips`` are points [m] on the viewer's right. The hem is ``flare`` [m] wider on either side, and its
+    ends swing up so that it stays square to the sides. The edge called ``upper`` sinks by ``dip`` [m] in the middle;
+    from there to the hips the side is ``curved`` or straight.
     """
     (x, top), (wide, hip_y) = waist, hips
     lift = flare * flare / (2.0 * (hip_y - hem)) + 0.05 * flare

@@ -28,40 +28,42 @@ JOIN_M = 5e-4  # that edges may be apart and still be one line of a joined panel
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """An edge by its ``points`` [m] (2 + H, 2): start, inner Bezier points or an arc's highest point, end."""
+    """An edge of the kind ``kind`` by its ``points`` [m] (2 + H, 2) in the panel's frame: start, inner Bezier points or
+    an arc's highest point, end."""
 
     kind: EdgeKind
     points: np.ndarray
     label: str | None = None
 
     def edge(self, start: int, end: int) -> Edge:
-        """The edge from corner ``start`` to corner ``end``."""
+        """Returns the curve as an edge from corner ``start`` to corner ``end``."""
         handles = geometry.on_chord(self.points[1:-1], self.points[0], self.points[-1])
         if self.kind is EdgeKind.CIRCLE:
             handles = ((0.5, handles[0][1]),)
         return Edge(start, end, self.kind, handles, self.label)
 
     def at(self, t: np.ndarray) -> np.ndarray:
-        """Points [m] (T, 2) at ``t`` (T,) in [0, 1]."""
+        """Returns points [m] (T, 2) of the curve at parameters ``t`` (T,) in [0, 1]."""
         start, end = self.points[0], self.points[-1]
         return geometry.off_chord(geometry.relative_curve(self.edge(0, 1), t), start, end - start)
 
     def slope(self, t: np.ndarray) -> np.ndarray:
-        """Derivatives [m] (T, 2) of ``at`` by t."""
+        """Returns the derivative [m] (T, 2) of ``at`` by t."""
         return geometry.off_chord(
             geometry.relative_slope(self.edge(0, 1), t), np.zeros(2), self.points[-1] - self.points[0]
         )
 
     def crosses(self, y_m: float, low: float, high: float) -> float:
-        """Where between ``low`` and ``high``, on different sides of the height ``y_m`` [m], the curve passes it."""
+        """Returns the parameter between ``low`` and ``high`` at which the curve passes the height ``y_m`` [m]; at these
+        two it lies on different sides of it."""
         return root(lambda t: self.at(np.array([t]))[0, 1] - y_m, low, high)
 
     def reversed(self) -> Curve:
-        """The same curve from its end to its start."""
+        """Returns the same curve from its end to its start."""
         return replace(self, points=self.points[::-1])
 
     def cut(self, t: float) -> tuple[Curve, Curve]:
-        """The curve up to ``t`` and the rest of it."""
+        """Returns the part of the curve up to the parameter ``t``, and the rest of it."""
         if self.kind is EdgeKind.CIRCLE:
             places = self.at(np.array([0.5 * t, t, 0.5 + 0.5 * t]))
             low = np.array([self.points[0], places[0], places[1]])
@@ -75,12 +77,13 @@ class Curve:
 
 
 def curves(panel: Panel) -> list[Curve]:
-    """The outline of ``panel``, edge by edge."""
+    """Returns the outline of ``panel`` as curves, edge by edge."""
     return [Curve(edge.kind, geometry.edge_controls(panel, n), edge.label) for n, edge in enumerate(panel.edges)]
 
 
 def panel_of(like: Panel, name: str, outline: Sequence[Curve]) -> Panel:
-    """The panel ``name`` with this ``outline``, each curve from where the one before ends, in the place of ``like``."""
+    """Returns the panel ``like`` called ``name`` and with another ``outline``, in which each curve begins where the one
+    before ends."""
     count = len(outline)
     corners = np.array([curve.points[0] for curve in outline])
     return replace(
@@ -89,22 +92,22 @@ def panel_of(like: Panel, name: str, outline: Sequence[Curve]) -> Panel:
 
 
 def partners(pattern: Pattern) -> dict[EdgeRef, Stitch]:
-    """The stitch of every sewn edge, turned so that this edge is its first."""
-    turned = [replace(one, first=one.second, second=one.first) for one in pattern.stitches]
+    """Returns the stitch of every sewn edge, with its sides exchanged where needed so that this edge is its first."""
+    turned = [replace(stitch, first=stitch.second, second=stitch.first) for stitch in pattern.stitches]
     return {stitch.first: stitch for stitch in (*pattern.stitches, *turned)}
 
 
 def seam_length(pattern: Pattern, ref: EdgeRef, sewn: Mapping[EdgeRef, Stitch]) -> float:
-    """Length [m] of an edge, or the mean of both edges of its seam."""
+    """Returns the length [m] of the edge ``ref``, or if it is ``sewn`` the mean length of both edges of its seam."""
     refs = [ref, sewn[ref].second] if ref in sewn else [ref]
-    return float(np.mean([geometry.edge_length(pattern.panel(one.panel), one.edge) for one in refs]))
+    return float(np.mean([geometry.edge_length(pattern.panel(side.panel), side.edge) for side in refs]))
 
 
 def divide_edges(
     pattern: Pattern, places: Mapping[EdgeRef, Sequence[float]]
 ) -> tuple[Pattern, dict[EdgeRef, list[EdgeRef]]]:
-    """Returns ``pattern`` with new corners at ``places``, shares of the lengths of edges, and for each edge of before
-    the pieces that it is now.
+    """Returns ``pattern`` with new corners at ``places``, shares of the lengths of edges in [0, 1], and for each old
+    edge the edges that it is divided into, in order.
 
     Partners of sewn edges are divided at the same shares, and a seam becomes as many seams.
     """
@@ -154,7 +157,7 @@ def part_panel(
     pattern: Pattern, name: str, ends: tuple[int, int], line: Sequence[Curve], called: str
 ) -> tuple[Pattern, Callable[[EdgeRef], EdgeRef]]:
     """Returns ``pattern`` with the panel ``name`` cut in two along ``line`` and sewn there again, and a function from
-    an edge of before to that edge now.
+    an old edge to what that edge is now.
 
     ``ends`` are edges: those from the first up to the second become the panel ``called``, which stands after the rest.
     ``line`` runs from the start of the second end to the start of the first. Raises ``InputError`` for a line that
@@ -184,10 +187,10 @@ def part_panel(
     def now(ref: EdgeRef) -> EdgeRef:
         return moved.get(ref, ref)
 
-    sewn = [replace(one, first=now(one.first), second=now(one.second)) for one in pattern.stitches]
+    sewn = [replace(stitch, first=now(stitch.first), second=now(stitch.second)) for stitch in pattern.stitches]
     for n in range(len(line)):
         sewn.append(Stitch(EdgeRef(called, len(edges) + n), EdgeRef(name, len(left) + len(line) - 1 - n)))
-    place = [one.name for one in pattern.panels].index(name)
+    place = [other.name for other in pattern.panels].index(name)
     panels = [*pattern.panels[:place], parts[1], parts[0], *pattern.panels[place + 1 :]]
     order = None if pattern.panel_order is None else (*pattern.panel_order, called)
     return replace(pattern, panels=tuple(panels), stitches=tuple(sewn), panel_order=order, template={}), now
@@ -198,15 +201,14 @@ def part_panel(
 
 class Chain(NamedTuple):
     """Edges ``refs`` of one panel, in the order of its outline, along which a strip is cut off. The strip becomes the
-    panel ``called``.
-    """
+    panel ``called``."""
 
     refs: tuple[EdgeRef, ...]
     called: str
 
 
 def strips(pattern: Pattern, chains: Sequence[Chain], width_m: float) -> Pattern:
-    """Returns ``pattern`` with a strip of ``width_m`` cut off along every one of ``chains`` and sewn on again.
+    """Returns ``pattern`` with a strip of ``width_m`` [m] cut off along every one of ``chains`` and sewn on again.
 
     The width is measured along the edges beside a chain, which may be seams: so strips of neighbouring panels meet.
     Raises ``InputError`` where such an edge is too short, or the line would leave its panel.
@@ -244,13 +246,14 @@ def strips(pattern: Pattern, chains: Sequence[Chain], width_m: float) -> Pattern
 
 
 def edges_beside(pattern: Pattern, chain: Chain) -> tuple[EdgeRef, EdgeRef]:
-    """The edges before and after a chain."""
+    """Returns the edges of the panel before and after ``chain``."""
     name, count = chain.refs[0].panel, len(pattern.panel(chain.refs[0].panel).edges)
     return EdgeRef(name, (chain.refs[0].edge - 1) % count), EdgeRef(name, (chain.refs[-1].edge + 1) % count)
 
 
 def parallel(chain: Sequence[Curve], width_m: float, start: np.ndarray, end: np.ndarray) -> list[Curve]:
-    """Curves ``width_m`` to the left of ``chain``, one for each of it, from ``start`` to ``end`` [m] (2,).
+    """Returns curves ``width_m`` [m] to the left of those of ``chain``, one for each, from ``start`` to ``end`` [m]
+    (2,).
 
     Where these lie elsewhere, as on sides that lean, the curves go over to them evenly. Lines stay lines; other curves
     become cubic ones, fitted by least squares.
@@ -261,9 +264,9 @@ def parallel(chain: Sequence[Curve], width_m: float, start: np.ndarray, end: np.
         slope = curve.slope(t)
         normals.append(np.stack([-slope[:, 1], slope[:, 0]], axis=1) / np.linalg.norm(slope, axis=1, keepdims=True))
     corners = [start]
-    for one, before, after in zip(chain[1:], normals[:-1], normals[1:], strict=True):
+    for curve, before, after in zip(chain[1:], normals[:-1], normals[1:], strict=True):
         a, b = before[-1], after[0]
-        corners.append(one.points[0] + width_m * (a + b) / (1.0 + float(a @ b)))
+        corners.append(curve.points[0] + width_m * (a + b) / (1.0 + float(a @ b)))
     corners.append(end)
     offsets = []
     for curve, normal, low, high in zip(chain, normals, corners[:-1], corners[1:], strict=True):
@@ -277,7 +280,8 @@ def parallel(chain: Sequence[Curve], width_m: float, start: np.ndarray, end: np.
 
 
 def fit_curve(points: np.ndarray) -> np.ndarray:
-    """The Bezier points (4, 2) of the cubic curve from the first to the last of ``points`` [m] (N, 2) that is nearest.
+    """Returns the Bezier points [m] (4, 2) of the cubic curve nearest to ``points`` [m] (N, 2), from the first to the
+    last of them.
 
     First they are taken to lie evenly in its parameter. Then their places on it and its handles are found in turn, by
     the distances across it alone: Gauss and Newton's steps for the distance of points and curve.
@@ -303,7 +307,8 @@ def fit_curve(points: np.ndarray) -> np.ndarray:
 
 
 def cut_level(pattern: Pattern, name: str, y_m: float, called: str) -> Pattern:
-    """The panel ``name`` cut across its grain at the height ``y_m`` of its own frame; the upper part is ``called``.
+    """Returns ``pattern`` with the panel ``name`` cut across its grain at the height ``y_m`` [m] of its own frame and
+    sewn there again; the upper part is ``called``.
 
     Raises ``InputError`` unless the line crosses the outline twice.
     """
@@ -333,7 +338,8 @@ def cut_level(pattern: Pattern, name: str, y_m: float, called: str) -> Pattern:
 
 
 def join_panels(pattern: Pattern, number: int, called: str) -> Pattern:
-    """The two panels of stitch ``number`` as one panel ``called``, in the frame and place of the first.
+    """Returns ``pattern`` with the two panels of stitch ``number`` as one panel ``called``, in the frame and place of
+    the first.
 
     Raises ``InputError`` where their edges do not lie on each other within ``JOIN_M``.
     """
@@ -356,17 +362,17 @@ def join_panels(pattern: Pattern, number: int, called: str) -> Pattern:
     where = {EdgeRef(first.name, old): EdgeRef(called, new) for new, old in enumerate(left)}
     where |= {EdgeRef(second.name, old): EdgeRef(called, len(left) + new) for new, old in enumerate(right)}
     sewn = [
-        replace(one, first=where.get(one.first, one.first), second=where.get(one.second, one.second))
-        for one in pattern.stitches
-        if one is not stitch
+        replace(other, first=where.get(other.first, other.first), second=where.get(other.second, other.second))
+        for other in pattern.stitches
+        if other is not stitch
     ]
-    panels = [panel if one is first else one for one in pattern.panels if one is not second]
+    panels = [panel if old is first else old for old in pattern.panels if old is not second]
     return replace(pattern, panels=tuple(panels), stitches=tuple(sewn), panel_order=None, template={})
 
 
 def lay_edge_on(edge: Curve, other: Curve) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
     """Returns the rigid motion of points [m] (N, 2) that lays the edge ``other`` on ``edge``, chord on chord, and how
-    far [m] the two are apart then."""
+    far [m] the two are apart then, at most."""
     chords = [complex(*(curve.points[-1] - curve.points[0])) for curve in (edge, other)]
     turn = chords[0] / chords[1] / abs(chords[0] / chords[1])
     rotation = np.array([[turn.real, turn.imag], [-turn.imag, turn.real]])

@@ -37,11 +37,11 @@ PARTS = (*BANDS, *RIBS, *YOKES, COLLAR)
 
 @dataclass(frozen=True)
 class Style:
-    """The changes that a style makes to a pattern: parts that are cut off or added, with their ``widths_m`` [m] by the
-    names of ``PARTS``.
+    """The changes that a style makes to a pattern: parts that are cut off or added, by the names of ``PARTS`` with
+    their ``widths_m`` [m].
 
     With ``whole_sleeves`` the halves of a sleeve are joined, and with ``whole_bands`` the pieces of a band, as far as
-    their ends lie on each other.
+    their ends lie on each other. It is false where it changes nothing.
     """
 
     widths_m: Mapping[str, float]
@@ -60,7 +60,7 @@ class Style:
         return bool(self.widths_m) or self.whole_sleeves  # without widths there are no bands
 
     def words(self) -> str:
-        """The style as a phrase, such as "waistband 4 cm, one-piece sleeves"; empty for none."""
+        """Returns the style as a phrase, such as "waistband 4 cm, one-piece sleeves"; empty for none."""
         parts = [f"{name.replace('_', ' ')} {100 * width:.3g} cm" for name, width in self.widths_m.items()]
         parts += ["bands in one piece"] if self.whole_bands else []
         return ", ".join([*parts, *(["one-piece sleeves"] if self.whole_sleeves else [])])
@@ -70,10 +70,10 @@ NO_STYLE = Style({})
 
 
 def add_style_lines(pattern: Pattern, style: Style) -> Pattern:
-    """Returns ``pattern`` with the bands and yokes of ``style`` cut off: it drapes as before. Raises ``InputError`` as
-    they do.
+    """Returns ``pattern`` with the bands and yokes of ``style`` cut off and sewn on again: it drapes as before.
 
-    Yokes come first, so that a neckband takes its share of them.
+    Yokes come first, so that a neckband takes its share of them. Raises ``InputError`` where the pattern has no such
+    opening or no room.
     """
     if (depth := style.widths_m.get("yoke")) is not None:
         pattern = _back_yoke(pattern, depth)
@@ -86,7 +86,8 @@ def add_style_lines(pattern: Pattern, style: Style) -> Pattern:
 
 
 def finish_pattern(pattern: Pattern, style: Style) -> Pattern:
-    """Returns ``pattern``, which has its style lines, with sleeves and yokes joined and a collar drafted."""
+    """Returns ``pattern``, which has its style lines, with sleeves, yokes and bands joined as ``style`` says, and ribs
+    and a collar drafted. Raises ``InputError`` for halves of sleeves that it does not have."""
     if style.whole_sleeves:
         pattern = _whole_sleeves(pattern)
     if all(name in style.widths_m for name in YOKES):
@@ -122,15 +123,15 @@ def _chains(pattern: Pattern, opening: PatternOpening, word: str) -> list[Chain]
     return chains
 
 
-def _follows(pattern: Pattern, one: EdgeRef, other: EdgeRef) -> bool:
-    return one.panel == other.panel and other.edge == (one.edge + 1) % len(pattern.panel(one.panel).edges)
+def _follows(pattern: Pattern, ref: EdgeRef, other: EdgeRef) -> bool:
+    return ref.panel == other.panel and other.edge == (ref.edge + 1) % len(pattern.panel(ref.panel).edges)
 
 
 def _band(pattern: Pattern, name: str, opening: str, width_m: float) -> Pattern:
     """``pattern`` with bands at the openings called ``opening``; through darts they are one piece, the darts closed."""
-    for one in openings_called(pattern, opening, name):
-        chains = _chains(pattern, one, name.removesuffix("s"))
-        pattern = strips(_labelled(pattern, one.refs, f"{opening} {FACED}"), chains, width_m)
+    for place in openings_called(pattern, opening, name):
+        chains = _chains(pattern, place, name.removesuffix("s"))
+        pattern = strips(_labelled(pattern, place.refs, f"{opening} {FACED}"), chains, width_m)
         for panel in dict.fromkeys(chain.refs[0].panel for chain in chains):
             parts = [chain.called for chain in chains if chain.refs[0].panel == panel]
             while (number := _between(pattern, parts)) is not None:
@@ -182,8 +183,7 @@ def _front_yoke(pattern: Pattern, width_m: float) -> Pattern:
             chains += [
                 Chain((ref,), f"{chain.called}_{n}") for n, ref in enumerate(edges_beside(pattern, chain), start=1)
             ]
-    chains = [chain for chain in chains if chain.refs[0] in sewn and edges_beside(pattern, chain)]
-    return strips(pattern, chains, width_m)
+    return strips(pattern, [chain for chain in chains if chain.refs[0] in sewn], width_m)
 
 
 # --- one-piece sleeves and yokes --------------------------------------------------------------------------------------
@@ -196,7 +196,7 @@ def _whole_sleeves(pattern: Pattern) -> Pattern:
         if not name.startswith("sleeve_") or "_front" not in name:
             continue
         other, called = name.replace("_front", "_back"), name.replace("_front", "")
-        seams = [n for n, one in enumerate(pattern.stitches) if {one.first.panel, one.second.panel} == {name, other}]
+        seams = [n for n, s in enumerate(pattern.stitches) if {s.first.panel, s.second.panel} == {name, other}]
         if seams:
             pattern = join_panels(pattern, max(seams, key=lambda n: _height(pattern, n)), called)
             count += 1
@@ -211,11 +211,12 @@ def _whole_sleeves(pattern: Pattern) -> Pattern:
 
 
 def cap_corners_deg(pattern: Pattern) -> dict[str, float]:
-    """By the names of one-piece sleeves how far [deg] their caps turn at a corner, at most: halves that met there."""
+    """Returns by the names of one-piece sleeves the largest angle [deg] by which their cap turns at a corner, where
+    halves met."""
     sewn, corners = partners(pattern), {}
     for panel in pattern.panels:
         there = [sewn.get(EdgeRef(panel.name, number)) for number in range(len(panel.edges))]
-        on_body = [one is not None and not one.second.panel.startswith(panel.name) for one in there]
+        on_body = [seam is not None and not seam.second.panel.startswith(panel.name) for seam in there]
         if not panel.name.startswith("sleeve_") or sum(on_body) < 2 or "_front" in panel.name or "_back" in panel.name:
             continue
         turns = [0.0]
@@ -252,9 +253,9 @@ def _whole_band(pattern: Pattern, word: str) -> Pattern:
                 seams.append((float(centre_of(pattern, sides)[2]), number))
         for _, number in sorted(seams, reverse=True):
             called = pattern.stitches[number].first.panel
-            found = join_panels(pattern, number, called)
-            if geometry.first_crossing(geometry.outline(found.panel(called))) is None:
-                pattern = found
+            joined = join_panels(pattern, number, called)
+            if geometry.first_crossing(geometry.outline(joined.panel(called))) is None:
+                pattern = joined
                 break
         else:
             left = [panel.name for panel in pattern.panels if panel.name.endswith(word)]
@@ -268,7 +269,7 @@ def _renamed(pattern: Pattern, name: str, called: str) -> Pattern:
         return replace(ref, panel=called) if ref.panel == name else ref
 
     panels = tuple(replace(panel, name=called) if panel.name == name else panel for panel in pattern.panels)
-    stitches = tuple(replace(one, first=now(one.first), second=now(one.second)) for one in pattern.stitches)
+    stitches = tuple(replace(s, first=now(s.first), second=now(s.second)) for s in pattern.stitches)
     return replace(pattern, panels=panels, stitches=stitches, panel_order=None)
 
 
@@ -280,7 +281,7 @@ def _whole_yoke(pattern: Pattern) -> Pattern:
     yokes = {panel.name for panel in pattern.panels if "yoke" in panel.name and not panel.name.endswith("band")}
     whole = next(panel.name for panel in pattern.panels if panel.name in yokes and side_of(panel) == "back")
     while True:
-        ends = [(one.first.panel, one.second.panel) for one in pattern.stitches]
+        ends = [(stitch.first.panel, stitch.second.panel) for stitch in pattern.stitches]
         number = next((n for n, two in enumerate(ends) if whole in two and set(two) <= {whole, *yokes}), None)
         if number is None:
             return pattern

@@ -22,7 +22,7 @@ TIE_SHARE = 0.01  # of the tolerance: alignments that differ by less are told ap
 
 
 class Kind(StrEnum):
-    """The motion that lays one outline on the other."""
+    """The kind of motion that lays one outline on the other."""
 
     ROTATION = "rotation"
     REFLECTION = "reflection"
@@ -30,11 +30,12 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """Panel ``second`` is the image of panel ``first`` (numbers; the same one for a panel that is symmetric itself).
+    """A motion that lays panel number ``first`` on panel number ``second``, which are the same for a panel that is
+    symmetric itself.
 
-    A point a of the first lies at (a - mean of first's corners) @ ``matrix`` + mean of second's corners. Edge e of the
-    first corresponds to edge e + ``shift`` of the second for a rotation and to ``shift`` - e, run backwards, for a
-    reflection. ``error_m`` is the root mean square distance over corners and handles.
+    A point a of the first lies at (a - mean of first's corners) @ ``matrix`` (2, 2) + mean of second's corners. Edge e
+    of the first corresponds to edge e + ``shift`` of the second for a rotation and to ``shift`` - e, run backwards, for
+    a reflection. ``error_m`` [m] is the root mean square distance over corners and handles.
     """
 
     first: int
@@ -45,19 +46,21 @@ class Symmetry:
     error_m: float
 
     def edge(self, number: int, count: int) -> int:
-        """The edge of the second panel that corresponds to edge ``number`` of the first, of ``count`` edges each."""
+        """Returns the edge of the second panel that corresponds to edge ``number`` of the first, of ``count`` edges
+        each."""
         return (self.shift + (number if self.kind is Kind.ROTATION else -number)) % count
 
 
 @dataclass(frozen=True, eq=False)
 class Symmetries:
-    """``between`` panels, each tied panel once, and ``within`` panels; both empty for a pattern without symmetry."""
+    """The symmetries of a pattern: ``between`` two panels, where a panel is the second of one at most, and ``within``
+    one panel. Both are empty for a pattern without symmetry."""
 
     between: tuple[Symmetry, ...]
     within: tuple[Symmetry, ...]
 
     def describe(self, pattern: Pattern) -> list[str]:
-        """One line for every symmetry, by the panels' names."""
+        """Returns a line for every symmetry, with the panels' names."""
         names = [panel.name for panel in pattern.panels]
         return [
             f"{names[s.second]} is {names[s.first]} by a {s.kind}, within {1e3 * s.error_m:.2g} mm"
@@ -66,26 +69,27 @@ class Symmetries:
 
 
 def find_symmetries(pattern: Pattern, *, tolerance_m: float = TOLERANCE_M) -> Symmetries:
-    """The symmetries of ``pattern`` whose error is at most ``tolerance_m``.
+    """Returns the symmetries of ``pattern`` whose error is at most ``tolerance_m`` [m].
 
     As in algorithm 1, a panel that is the image of an earlier one is not looked at again. So every panel is tied to at
-    most one, and only the others are searched for a symmetry of their own. Of several equally good alignments, as for
-    a rectangle, the one that keeps the grain upright is taken, a reflection before a rotation.
+    most one, and only the others are searched for a symmetry of their own. Of several equally good alignments, as for a
+    rectangle, the one that keeps the grain upright is taken, a reflection before a rotation.
     """
     between: dict[int, Symmetry] = {}  # by the panel that is tied
     numbers = range(len(pattern.panels))
     for p, q in combinations(numbers, 2):
-        if not {p, q} & between.keys() and (found := _best(pattern, p, q, tolerance_m)) is not None:
-            between[q] = found
+        if not {p, q} & between.keys() and (symmetry := _best(pattern, p, q, tolerance_m)) is not None:
+            between[q] = symmetry
     within = [_best(pattern, p, p, tolerance_m) for p in numbers if p not in between]
-    return Symmetries(tuple(between.values()), tuple(found for found in within if found is not None))
+    return Symmetries(tuple(between.values()), tuple(symmetry for symmetry in within if symmetry is not None))
 
 
 def procrustes(first: np.ndarray, second: np.ndarray, *, reflect: bool) -> tuple[np.ndarray, float]:
-    """The orthogonal M (2, 2) of given handedness that takes ``first`` (N, 2) nearest to ``second``, and the error.
+    """Returns the orthogonal M (2, 2) that takes ``first`` (N, 2) nearest to ``second`` (N, 2), a reflection or a
+    rotation as ``reflect`` says, and the error.
 
-    Schoenemann (1966): with means removed and first^T second = U S V^T it is U V^T, its last column turned where
-    the determinant asks for it. The error [m] is the root mean square of first @ M - second.
+    Schoenemann (1966): with means removed and first^T second = U S V^T it is U V^T, its last column turned where the
+    determinant asks for it. The error, in the unit of the points, is the root mean square of first @ M - second.
     """
     a, b = first - first.mean(axis=0), second - second.mean(axis=0)
     u, _, vt = np.linalg.svd(a.T @ b)
@@ -153,23 +157,24 @@ class FreeControls:
         return self.basis.shape[1]
 
     def positions(self, values: np.ndarray) -> np.ndarray:
-        """Control points [m] (K, 2) for ``values`` [m] (Z,)."""
+        """Returns the control points [m] (K, 2) for free ``values`` [m] (Z,)."""
         return self.origin + (self.basis @ values).reshape(-1, 2)
 
     def values(self, positions: np.ndarray) -> np.ndarray:
-        """The values (Z,) whose control points are nearest to ``positions`` [m] (K, 2)."""
+        """Returns the free values [m] (Z,) whose control points are nearest to ``positions`` [m] (K, 2)."""
         return self.basis.T @ (positions - self.origin).reshape(-1)
 
 
 def symmetrised(pattern: Pattern, symmetries: Symmetries) -> Pattern:
-    """Returns ``pattern`` with ``symmetries`` made exact: every panel the mean of its images, curves too."""
+    """Returns ``pattern`` with ``symmetries`` made exact: every panel is the mean of those that it is tied to, curves
+    too."""
     every = control_points(pattern, free_curves=True)
     pattern = _with_mean_arcs(pattern, symmetries)
     return with_controls(pattern, every, _mean_positions(every, pattern, symmetries))
 
 
 def free_controls(pattern: Pattern, symmetries: Symmetries) -> FreeControls:
-    """The corners of ``pattern`` as far as ``symmetries`` leave them free.
+    """Returns the corners of ``pattern`` as far as ``symmetries`` leave them free.
 
     The axis of a symmetric panel and the motion between two panels stay as they are. A panel's place in its own plane
     means nothing and stays free. Pass a pattern that is ``symmetrised``: curves keep their differences.
@@ -194,7 +199,8 @@ def _points_of(controls: Controls, panel: int) -> dict[tuple[int, int], int]:
 
 
 def correspondence(controls: Controls, pattern: Pattern, symmetry: Symmetry) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (n,) of the first panel's control points, and the rows (n,) of the second's that they correspond to."""
+    """Returns the rows (n,) in ``controls`` of the first panel's control points, and the rows (n,) of the second's that
+    they correspond to."""
     count = len(pattern.panels[symmetry.first].edges)
     own, other = _points_of(controls, symmetry.first), _points_of(controls, symmetry.second)
     pairs = []
@@ -211,18 +217,12 @@ def correspondence(controls: Controls, pattern: Pattern, symmetry: Symmetry) -> 
     return rows[:, 0], rows[:, 1]
 
 
-def _corner_mean(controls: Controls, panel: int, positions: np.ndarray) -> np.ndarray:
-    return positions[(controls.panel == panel) & (controls.handle == 0)].mean(axis=0)
-
-
 def _mean_positions(controls: Controls, pattern: Pattern, symmetries: Symmetries) -> np.ndarray:
     """Control points [m] (K, 2) that have the symmetries exactly, each panel about the mean of its own corners."""
-    positions = controls.positions.copy()
-    means = [_corner_mean(controls, panel, positions) for panel in range(len(pattern.panels))]
-    offsets = positions - np.array(means)[controls.panel]
-    return np.array(means)[controls.panel] + (_projection(controls, pattern, symmetries) @ offsets.reshape(-1)).reshape(
-        -1, 2
-    )
+    corners = [(controls.panel == panel) & (controls.handle == 0) for panel in range(len(pattern.panels))]
+    means = np.array([controls.positions[rows].mean(axis=0) for rows in corners])[controls.panel]
+    offsets = controls.positions - means
+    return means + (_projection(controls, pattern, symmetries) @ offsets.reshape(-1)).reshape(-1, 2)
 
 
 def _projection(controls: Controls, pattern: Pattern, symmetries: Symmetries) -> np.ndarray:

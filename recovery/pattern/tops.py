@@ -57,10 +57,10 @@ class TopCut:
 
     ``length_m`` runs from the side of the neck to the hem, bands included. The shoulder's tip lies ``shoulder_out_m``
     beyond the joint and ``shoulder_drop_m`` below the neck. The armhole ends ``armhole_drop_m`` below the armpit and
-    hollows in by ``armhole_inset``, a share of the width from shoulder to side. The neck's half width is the body's and
-    ``neck_out_m``. Bands of a width of 0 are left out. ``flare_m`` widens each panel's half at the hem. A ``skirt_m``
-    > 0 cuts the garment that far below the armpit and gathers the rest by ``gather``. What is ``strapless`` ends where
-    armholes would, in an edge that is tight round the chest.
+    hollows in by ``armhole_inset``, a share of the width from shoulder to side. The neck's half width is the body's
+    plus ``neck_out_m``. Bands of a width of 0 are left out. ``flare_m`` widens each panel's half at the hem. A
+    ``skirt_m`` > 0 cuts the garment that far below the armpit and gathers the rest by the share ``gather``. What is
+    ``strapless`` ends where armholes would, in an edge that is tight round the chest.
     """
 
     name: str
@@ -86,13 +86,13 @@ class TopCut:
 
     @property
     def ease_m(self) -> dict[str, float]:
-        """Lengths [m] that are added to the body's girths."""
+        """Lengths [m] that are added to the body's girths, by part."""
         return {"chest": self.chest_ease_m} | ({"arm": self.sleeve.arm_ease_m} if self.sleeve else {})
 
 
 def lines(body: BodyMeasurements, cut: TopCut) -> tuple[Point, Point, Point, Point]:
-    """Returns neck, shoulder tip, armpit and hem [m] on the wearer's left, as points of the panel. Raises
-    ``InputError`` for lines that do not meet."""
+    """Returns the points neck, shoulder tip, armpit and hem [m] of a panel of ``cut`` for ``body``, on the wearer's
+    left. Raises ``InputError`` for lines that do not meet."""
     half = 0.25 * (body.chest_girth + cut.chest_ease_m)
     # Beside the neck the body falls away by about NECK_SLOPE.
     neck = (body.neck_half_width + cut.neck_out_m, body.neck_y - NECK_SLOPE * cut.neck_out_m)
@@ -110,7 +110,8 @@ def lines(body: BodyMeasurements, cut: TopCut) -> tuple[Point, Point, Point, Poi
 
 
 def top(body: BodyMeasurements, cut: TopCut) -> Design:
-    """The top that ``cut`` describes, for ``body``. Raises ``InputError`` where its lines do not meet."""
+    """Returns the top that ``cut`` describes, drafted for ``body``. Raises ``InputError`` where its lines do not
+    meet."""
     _, _, underarm, hem = lines(body, cut)
     work = Assembly()
     waist = (underarm[0], underarm[1] - cut.skirt_m)
@@ -135,8 +136,8 @@ def top(body: BodyMeasurements, cut: TopCut) -> Design:
 def bodices_to(
     work: Assembly, body: BodyMeasurements, cut: TopCut, bottom: Point, lower: str, prefix: str = ""
 ) -> tuple[Drafted, Drafted]:
-    """Returns front and back, drafted down to ``bottom`` on the wearer's left [m] and sewn, with sleeves if ``cut`` has
-    them.
+    """Adds front and back to ``work``, drafted down to ``bottom`` [m] on the wearer's left and sewn, with sleeves if
+    ``cut`` has them. Returns both.
 
     ``lower`` names their lower edges, ``prefix`` begins the names of the panels.
     """
@@ -170,8 +171,8 @@ def bodice(
     """Returns the sides of a front or back panel, whose ``corners`` [m] on one side are neck, shoulder tip, underarm
     and hem.
 
-    The armhole runs level for the share ``hollow`` of the way to the shoulder, and hollows in by ``inset``; ``lower``
-    names the hem.
+    The neckline is ``depth`` [m] deep. The armhole runs level for the share ``hollow`` of the way to the shoulder, and
+    hollows in by ``inset``, a share of the width from shoulder to side; ``lower`` names the hem.
     """
     neck, tip, underarm, hem = corners
     middle = (0.0, neck[1] - depth)
@@ -196,7 +197,8 @@ def bodice(
 
 
 def name_openings(work: Assembly, bodices: Sequence[Drafted], part: str, left: str, right: str) -> None:
-    """Names the edges ``part`` of the ``bodices`` on the viewer's ``left`` and ``right``."""
+    """Renames the edge ``part`` of each of ``bodices`` to ``left`` on the viewer's left and to ``right`` on the
+    right."""
     for panel in bodices:
         work.edge_names[panel.edge(f"{part}_left")] = left
         work.edge_names[panel.edge(f"{part}_right")] = right
@@ -208,9 +210,11 @@ def name_openings(work: Assembly, bodices: Sequence[Drafted], part: str, left: s
 def set_sleeves(
     work: Assembly, body: BodyMeasurements, sleeve: Sleeve, tip: Point, armholes: Mapping[str, tuple[Edge, Edge]]
 ) -> None:
-    """Sews two sleeves, and their cuffs, into the ``armholes`` of the wearer's sides: edge in front, edge behind.
+    """Adds two sleeves, and their cuffs, to ``work``, sewn into the ``armholes`` of the wearer's sides: edge in front,
+    edge behind.
 
-    Raises ``InputError`` for a sleeve shorter than its cap or narrower than the arm.
+    ``tip`` [m] is the shoulder's tip on the wearer's left. Raises ``InputError`` for a sleeve shorter than its cap or
+    narrower than the arm.
     """
     sleeve = replace(sleeve, length_m=sleeve.length_m + body.limbs_longer_m)
     girth = body.arm_girth + sleeve.arm_ease_m
@@ -296,7 +300,8 @@ def _half_cap(name: str, width: float, height: float, sign: float) -> Side:
 
 
 def cap(armholes: list[float], girth: float) -> tuple[float, tuple[float, float]]:
-    """Height [m] of the cap and the widths of its front and back half that fit ``armholes`` [m] and the ``girth``.
+    """Returns the height [m] of a sleeve's cap and the widths [m] of its front and back half, with which these are as
+    long as ``armholes`` [m] and together as wide as the ``girth`` [m].
 
     Raises ``InputError`` where the sleeve is wider than the armhole is long.
     """
@@ -316,7 +321,7 @@ def cap(armholes: list[float], girth: float) -> tuple[float, tuple[float, float]
     if excess(low) < 0.0 or excess(high) > 0.0:
         raise InputError(
             "sleeve",
-            expected=f"an upper arm of {sum(armholes) + excess(high) + girth - sum(armholes):.3f} to "
+            expected=f"an upper arm of {excess(high) + girth:.3f} to "
             f"{excess(low) + girth:.3f} m for armholes of {sum(armholes):.3f} m",
             got=f"{girth:.3f} m",
             cure="Lower the armhole for a wider sleeve, or take ease from the arm.",

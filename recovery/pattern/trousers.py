@@ -49,7 +49,8 @@ class LegCut:
 
 
 def trousers(body: BodyMeasurements, cut: LegCut) -> Design:
-    """Trousers or shorts for ``body``. Raises ``InputError`` where a leg is narrower than the body's."""
+    """Returns the trousers or shorts that ``cut`` describes, drafted for ``body``. Raises ``InputError`` where a leg is
+    narrower than the body's."""
     lines = _LegLines(body, cut)
     low = {"front": lines.crotch, "back": _equal_inseam(lines)}
     work = Assembly()
@@ -85,7 +86,7 @@ def trousers(body: BodyMeasurements, cut: LegCut) -> Design:
 
 
 def thigh_girth(body: BodyMeasurements, hip_ease_m: float) -> float:
-    """Girth [m] of the cloth of a leg at the crotch."""
+    """Returns the girth [m] of the cloth of a leg at the crotch, in trousers with ``hip_ease_m`` [m] at the hips."""
     return 0.5 * (body.hip_girth + hip_ease_m) + sum(EXTENSION.values()) * body.hip_girth
 
 

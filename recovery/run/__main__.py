@@ -35,7 +35,7 @@ from recovery.run.refusal import placed_fault
 from recovery.run.task import MINUTES, RecoveryJob
 from recovery.scan.repair import ScanFault
 
-# Fields of a job that the command line says as they are.
+# Fields of a job that are options of the same name.
 OF_JOB = (
     "target",
     "out",
@@ -56,7 +56,7 @@ EDGE_LENGTH_M = 0.05
 
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
-    """The command line."""
+    """Returns the parsed command line, by default that of the process."""
     fit = FitOptions()
     parser = parser_of("recovery.run", __doc__)
     parser.add_argument("target", type=Path, help="OBJ, GLB, PLY or STL of one garment on its body")
@@ -118,7 +118,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 
 
 def job_of(given: argparse.Namespace) -> RecoveryJob:
-    """The job that the command line asks for."""
+    """Returns the job that the parsed command line asks for. Raises ``InputError`` for a value that none can have."""
     return RecoveryJob(
         **{name: getattr(given, name) for name in OF_JOB},
         betas=None if given.betas is None else read_betas(given.betas),
@@ -134,7 +134,8 @@ def job_of(given: argparse.Namespace) -> RecoveryJob:
 
 
 def read_betas(text: str) -> np.ndarray:
-    """The shape (S,) that a text of numbers between commas gives."""
+    """Returns the shape coefficients (S,) that ``text`` gives, numbers between commas. Raises ``InputError`` for other
+    text."""
     try:
         return np.array([float(part) for part in text.split(",")])
     except ValueError as error:
@@ -145,18 +146,19 @@ def read_betas(text: str) -> np.ndarray:
 
 @refusing
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command and returns its exit code: 2 with a sentence if input is refused, 3 if cloth is not at rest."""
+    """Runs the command and returns its exit code: 0, or with a sentence 2 for refused input and 3 for cloth that is not
+    at rest."""
     given = parse(arguments)
     job = job_of(given)
     try:
         outcome = run_job(job, progress=progress.to_stderr)
-    except ScanFault as found:
-        fault = placed_fault(found, job)
+    except ScanFault as unplaced:
+        fault = placed_fault(unplaced, job)
         if fault.mesh is not None:
             from recovery.run.report_pictures import fault_picture
 
             print(write_whole(given.out / f"{given.target.stem}.refused.png", fault_picture(fault.mesh, fault.points)))
-        raise fault from found
+        raise fault from unplaced
     with progress.watched(), progress.stage("the report is drawn"):
         from recovery.run.report_text import page_of, record_of  # matplotlib takes a second to load
 

@@ -30,8 +30,8 @@ from recovery.pattern.measurements import BodyMeasurements, measure_body
 from recovery.pattern.sewing_pattern import Pattern
 from recovery.run.target import OF_TOPS, OPENINGS, close_but_openings, describe_openings
 
-EVEN_STRETCH = 1.25  # of the middle one: within that most triangles of a panel laid out flat differ from each other
-LAID_OUT = 0.9  # of the cloth that is so
+EVEN_STRETCH = 1.25  # over the median: triangles of a panel that is laid out as it was cut are stretched by less
+LAID_OUT = 0.9  # share of the cloth whose triangles are so in a layout of panels
 LEAST_PIECE = 1e-3  # of all faces
 SLEEVE_M = 0.06  # from the shoulder's joint to a cuff; an armhole lies within 3 cm of it
 DRESS_M = 0.12  # below the crotch: no shirt's hem
@@ -45,9 +45,11 @@ RISE_M = 0.01  # of the neckline at the sides above the neck's joint: cloth lies
 
 @dataclass(frozen=True, eq=False)
 class BodyOpening:
-    """An opening's ``contour``, and where it lies on the wearer in the T-pose: ``points`` [m] (n, 3), their ``centre``.
+    """An opening of a garment: its ``contour`` where the target is, and on the wearer in the T-pose its ``points`` [m]
+    (n, 3) and their ``centre`` [m] (3,).
 
-    ``along_m`` counts along the bones of its part: from the shoulder or hip of a limb, from the pelvis of the trunk.
+    ``along_m`` [m] is its place along the bones of its part of the body: from the shoulder or hip of a limb, from the
+    pelvis of the trunk.
     """
 
     contour: Contour
@@ -57,10 +59,10 @@ class BodyOpening:
 
 
 class SeenGarment:
-    """What is seen of a garment, ``vertices`` [m] (V, 3) and ``faces``, on a wearer whose ``joints`` [m] (24, 3) are
-    known in its pose, and at ``rest`` in the T-pose.
+    """A target as far as it shows its cut: ``vertices`` [m] (V, 3) and ``faces`` (F, 3) on a wearer whose ``joints``
+    [m] (24, 3) are known in its pose, and at ``rest`` [m] (24, 3) in the T-pose.
 
-    ``openings``: by part of the body, those of the trunk from above.
+    ``openings`` has the openings of each part of the body that has any, by its name; those of the trunk from above.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, rest: np.ndarray) -> None:
@@ -72,24 +74,25 @@ class SeenGarment:
             place = place_of(contour, self._chains)
             if place.part is None:
                 continue
-            here, there = self._point(self._chains, place.part, place.along_m), self._at_rest(place.part, place.along_m)
+            here, there = (self._point(chains, place.part, place.along_m) for chains in (self._chains, self._rest))
             root = 0.0
             if place.part.endswith("arm"):
                 side = place.part.split("_")[0]
                 root = float(np.linalg.norm(at[f"{side}_shoulder"] - at[f"{side}_collar"]))
             centre = contour.centre - here + there
-            found = BodyOpening(contour, contour.points - here + there, centre, place.along_m - root)
-            self.openings.setdefault(place.part, []).append(found)
-        self.openings.get(TRUNK, []).sort(key=lambda one: -one.along_m)
+            opening = BodyOpening(contour, contour.points - here + there, centre, place.along_m - root)
+            self.openings.setdefault(place.part, []).append(opening)
+        self.openings.get(TRUNK, []).sort(key=lambda opening: -opening.along_m)
 
     def counts(self) -> dict[str, int]:
-        """Returns how many openings each part of the body has."""
-        return {part: len(found) for part, found in self.openings.items()}
+        """Returns how many openings each part of the body has, by its name."""
+        return {part: len(openings) for part, openings in self.openings.items()}
 
     def girth(self, part: str, rest_axis: int, value_m: float) -> float | None:
-        """Length [m] of the cloth round ``part`` where its bones, at rest, pass the plane x_axis = ``value_m``.
+        """Returns the length [m] of the cloth round ``part``, across its bones, at the place where these cross the
+        plane x_axis = ``value_m`` [m] in the T-pose.
 
-        It is measured across the bones. None where no cloth goes round them.
+        None where they do not, or no cloth goes round them. ``rest_axis`` is the number of the axis.
         """
         chain, below = self._rest[part]
         along = _where(chain, rest_axis, value_m)
@@ -98,9 +101,6 @@ class SeenGarment:
         point = self._point(self._chains, part, along - below)
         ahead = self._point(self._chains, part, along - below + 0.01)
         return girth_round(self._vertices, self._faces, point, ahead - point)
-
-    def _at_rest(self, part: str, along_m: float) -> np.ndarray:
-        return self._point(self._rest, part, along_m)
 
     def _point(self, chains: dict[str, tuple[np.ndarray, float]], part: str, along_m: float) -> np.ndarray:
         """The point (3,) of a part's bones ``along_m`` from its root."""
@@ -122,7 +122,8 @@ def _where(chain: np.ndarray, axis: int, value: float) -> float | None:
 
 
 def girth_round(vertices: np.ndarray, faces: np.ndarray, point: np.ndarray, normal: np.ndarray) -> float | None:
-    """Length [m] of the longest closed loop round ``point`` (3,) in which a plane across ``normal`` cuts the mesh.
+    """Returns the length [m] of the longest closed loop round ``point`` [m] (3,) in which the plane through it with
+    this ``normal`` (3,), of any length, cuts the mesh.
 
     A loop goes round a point that its convex hull holds. None where no loop does.
     """
@@ -133,7 +134,7 @@ def girth_round(vertices: np.ndarray, faces: np.ndarray, point: np.ndarray, norm
 
 
 def pieces(mesh: GarmentMesh) -> int | None:
-    """The number of panels that the texture of ``mesh`` shows; None where it is no layout of panels.
+    """Returns the number of panels that the texture of ``mesh`` shows; None where it is no layout of panels.
 
     It is one if it shows the cloth as it is cut: triangles have, but for one scale, the sizes that they have in space.
     """
@@ -155,27 +156,28 @@ def pieces(mesh: GarmentMesh) -> int | None:
 
 @dataclass(frozen=True)
 class Cut:
-    """The cut that a recovery starts from: the ``base``, and whether the target ``told`` it, or the user named it.
+    """The cut that a recovery starts from: the name or file of the ``base``, and whether the target's openings chose it
+    (``by_openings``) or the user named it.
 
-    ``settings``: those that the base was drafted with. ``differs``: sentences on what of the target's cut the base does
-    not have. ``collar_m`` [m]: the width of the target's collar, 0 for none.
+    ``settings``: the values by name that the base was drafted with. ``differs``: sentences on what of the target's cut
+    the base does not have. ``collar_m`` [m]: the width of the target's collar, 0 for none.
     """
 
     base: str
-    told: bool
+    by_openings: bool
     settings: dict[str, float]
     differs: tuple[str, ...]
     collar_m: float = 0.0
 
     @property
     def called(self) -> str:
-        """The name of the base, or of its file."""
+        """The name of the base, or that of its file."""
         return Path(self.base).name
 
 
 def tell_base(seen: SeenGarment, body: BodyMeasurements) -> str:
-    """Returns the name of the base whose openings lie where those of the target do. Raises ``InputError`` if none
-    does."""
+    """Returns the name of the base whose openings lie where those of the target do. Raises ``InputError`` if those of
+    none do."""
     counts = seen.counts()
     fitting = [name for name, wanted in OPENINGS.items() if wanted == counts]
     top = seen.openings[TRUNK][0].centre[1] if fitting else 0.0
@@ -193,7 +195,7 @@ def tell_base(seen: SeenGarment, body: BodyMeasurements) -> str:
     hem = seen.openings[TRUNK][-1].centre[1]
     if round_trunk:
         return "skirt" if top <= _above(body) else "strapless_dress" if hem < body.crotch_y else "tube"
-    reach = np.mean([one.along_m for part in ("left_arm", "right_arm") for one in seen.openings[part]])
+    reach = np.mean([cuff.along_m for part in ("left_arm", "right_arm") for cuff in seen.openings[part]])
     return (("tank", "dress"), ("tshirt", "sleeved_dress"))[int(reach > SLEEVE_M)][int(hem < body.crotch_y - DRESS_M)]
 
 
@@ -203,7 +205,7 @@ def _above(body: BodyMeasurements) -> float:
 
 
 def has_collar(mesh: GarmentMesh, seen: SeenGarment, body: BodyMeasurements) -> bool:
-    """Whether the cloth at the neck stands up, or is folded over so that its edge lies below its top."""
+    """Returns whether the cloth at the neck stands up, or is folded over so that its edge lies below its top."""
     neck = seen.openings[TRUNK][0]
     if neck.centre[1] > body.neck_y + STANDS_M:
         return True
@@ -216,11 +218,11 @@ def has_collar(mesh: GarmentMesh, seen: SeenGarment, body: BodyMeasurements) -> 
 def collarless(
     mesh: GarmentMesh, wearer: BodyModel, joints: np.ndarray, there: dict[str, int]
 ) -> tuple[GarmentMesh, tuple[str, ...], float]:
-    """Returns ``mesh``, whose openings are ``there``, without its collar, a sentence on it, and its width [m]; 0 for
-    none.
+    """Returns ``mesh`` without its collar, a tuple with a sentence on that, and the collar's width [m].
 
-    ``joints`` [m] (24, 3) are those of ``wearer`` in the target's pose. A collar stays where openings would change. Its
-    width, stand and fall together, is its area over the length of the neckline that is left.
+    The tuple is empty without a collar, and the width 0 where none is drafted. ``there`` has the number of openings of
+    each part of the body, ``joints`` [m] (24, 3) are those of ``wearer`` in the target's pose. A collar stays where
+    openings would change. Its width, stand and fall together, is its area over the length of the neckline that is left.
     """
     if there != OF_TOPS:
         return mesh, (), 0.0
@@ -240,13 +242,14 @@ def collarless(
 
 
 def panel_count(base: str, shown: int | None) -> dict[str, float]:
-    """Returns the setting ``panels`` of a skirt whose texture has ``shown`` so many gores; empty for another base, or
-    if it is the base's own number."""
+    """Returns {"panels": ``shown``} for a skirt whose texture shows 3 to ``MOST_PANELS`` gores, as settings of its
+    base; otherwise empty."""
     return {COUNT: float(shown)} if base == "skirt" and shown is not None and 2 < shown <= MOST_PANELS else {}
 
 
 def ring_panels(pattern: Pattern) -> list[str]:
-    """Names of panels that are sewn to themselves to a ring, as bands and one-piece sleeves; darts are none."""
+    """Returns the names of panels that are sewn to themselves to a ring, as bands and one-piece sleeves are. The legs
+    of a dart are neighbours and close no ring."""
     panels = []
     for stitch in pattern.stitches:
         panel, apart = stitch.first.panel, abs(stitch.first.edge - stitch.second.edge)
@@ -258,7 +261,8 @@ def ring_panels(pattern: Pattern) -> list[str]:
 def differences(
     base: str, pattern: Pattern, seen: SeenGarment, body: BodyMeasurements, shown: int | None
 ) -> tuple[str, ...]:
-    """Sentences on how the cut of a target that lies on ``body`` differs from ``pattern``, drafted from ``base``.
+    """Returns sentences on how the cut of the target ``seen`` on ``body`` differs from ``pattern``, drafted from
+    ``base``.
 
     ``shown`` is the number of panels that its texture shows, None for none.
     """
@@ -287,8 +291,7 @@ def differences(
 
 def without_collar(mesh: GarmentMesh, joints: np.ndarray) -> tuple[GarmentMesh, float]:
     """Returns ``mesh`` cut along the neck of a body with ``joints`` [m] (24, 3), and the share of its area that is
-    gone.
-    """
+    gone, from 0 to 1."""
     neck, chest = (joints[JOINT_NAMES.index(name)] for name in ("neck", "spine3"))
     up = (neck - chest) / np.linalg.norm(neck - chest)
     ahead = np.array([0.0, 0.0, 1.0]) - up[2] * up
@@ -297,15 +300,14 @@ def without_collar(mesh: GarmentMesh, joints: np.ndarray) -> tuple[GarmentMesh, 
     height = off @ up + np.maximum(AHEAD * forward, -BEHIND * forward) - RISE_M
     away = np.linalg.norm(off - np.outer(off @ up, up), axis=1)
     before = meshes.face_areas(mesh.vertices, mesh.faces).sum()
-    kept = main_sheet(below(mesh, np.minimum(height, NECK_RADIUS_M - away)))[0]
-    gone = 1.0 - meshes.face_areas(kept.vertices, kept.faces).sum() / before
-    return replace(kept, notes=mesh.notes), float(gone)
+    bare = main_sheet(below(mesh, np.minimum(height, NECK_RADIUS_M - away)))[0]
+    gone = 1.0 - meshes.face_areas(bare.vertices, bare.faces).sum() / before
+    return replace(bare, notes=mesh.notes), float(gone)
 
 
 def below(mesh: GarmentMesh, height: np.ndarray) -> GarmentMesh:
-    """Returns the part of ``mesh`` where ``height`` (V,), taken as linear in every triangle, is not positive. It has no
-    texture coordinates.
-    """
+    """Returns the part of ``mesh`` where ``height`` (V,), taken as linear in every triangle, is not positive, without
+    texture coordinates. Triangles on the limit are cut."""
     up = height > 0.0
     above = up[mesh.faces].sum(axis=1)
     vertices, faces, parent = [mesh.vertices], [mesh.faces[above == 0]], [np.flatnonzero(above == 0)]

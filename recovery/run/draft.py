@@ -60,16 +60,17 @@ RANGES: dict[str, Range] = {  # that a reading may lie in; beyond it something e
 def draft_near(
     name: str, body: BodyMeasurements, seen: SeenGarment, given: dict[str, float]
 ) -> tuple[Pattern, dict[str, float]]:
-    """Returns the base ``name`` for ``body``, drafted near the target ``seen``, and the settings that it was drafted
-    with. Those in ``given`` stay as they are.
+    """Returns the base ``name`` for ``body``, drafted near the target ``seen``, and the settings by name that it was
+    drafted with. Those in ``given`` stay as they are.
 
     If the settings that are read off the target make no garment, they go a share of the way from the base's own ones.
+    Raises ``InputError`` if the base's own ones make none with ``given`` either.
     """
     base = BASES[name]
-    told = {key: value for key, value in read_settings(name, body, seen).items() if key not in given}
+    readings = {key: value for key, value in read_settings(name, body, seen).items() if key not in given}
     refused: list[InputError] = []
     for share in SHARES:
-        settings = {key: own + share * (told[key] - own) for key, own in own_settings(name, body, told).items()}
+        settings = {key: own + share * (readings[key] - own) for key, own in own_settings(name, body, readings).items()}
         try:
             return base(body, **settings, **given), settings | given
         except InputError as error:
@@ -77,34 +78,36 @@ def draft_near(
     raise refused[-1]
 
 
-def own_settings(name: str, body: BodyMeasurements, told: dict[str, float]) -> dict[str, float]:
-    """Returns the values that the base ``name`` has by itself for the settings in ``told``."""
+def own_settings(name: str, body: BodyMeasurements, readings: dict[str, float]) -> dict[str, float]:
+    """Returns the values by name that the base ``name`` has by itself for the settings in ``readings``. Where it has
+    None, that is an inseam to the ankles, or the knee's girth of ``readings``."""
     cut = BASES[name].cut
     ankles = body.crotch_y - body.ankle_y  # an inseam of None
     settings = {}
-    for key in told:
+    for key in readings:
         part = getattr(cut, "sleeve", None) if key.startswith(OF_SLEEVE) else cut
         value = getattr(part, key.removeprefix(OF_SLEEVE))
-        unset = told[key] if key == "knee_girth_m" else ankles
+        unset = readings[key] if key == "knee_girth_m" else ankles
         settings[key] = unset if value is None else float(value)
     return settings
 
 
 def read_settings(name: str, body: BodyMeasurements, seen: SeenGarment) -> dict[str, float]:
-    """Returns the settings of the base ``name`` that the target shows, each within its range."""
+    """Returns by name the settings of the base ``name`` that can be read off the target ``seen`` on ``body``, each held
+    within ``RANGES``."""
     reader = {"trousers": _of_trousers, "skirt": _of_skirt}.get(name, _of_top)
-    told = reader(body, seen, BASES[name].settings)
+    readings = reader(body, seen, BASES[name].settings)
     return {
         key: float(np.clip(value, *RANGES[key]))
-        for key, value in told.items()
+        for key, value in readings.items()
         if key in BASES[name].settings and value is not None and key != COUNT
     }
 
 
-Told = dict[str, float | None]
+Readings = dict[str, float | None]  # settings by name, None where the target does not show one
 
 
-def _of_top(body: BodyMeasurements, seen: SeenGarment, settings: tuple[str, ...]) -> Told:
+def _of_top(body: BodyMeasurements, seen: SeenGarment, settings: tuple[str, ...]) -> Readings:
     neck, hem = seen.openings[TRUNK][0], seen.openings[TRUNK][-1]
     wide = float(np.abs(neck.points[:, 0] - neck.centre[0]).max())
     out = wide - body.neck_half_width
@@ -113,7 +116,7 @@ def _of_top(body: BodyMeasurements, seen: SeenGarment, settings: tuple[str, ...]
     shoulder = neck.points[np.abs(neck.points[:, 0] - neck.centre[0]) > SIDES * wide].mean(axis=0)
     back = neck.points[neck.points[:, 2].argmin()]
     strapless = "neck_depth_m" not in settings
-    measures: Told = {
+    measures: Readings = {
         "length_m": body.neck_y - float(hem.centre[1]) + (0.0 if strapless else OVER_CHEST_M),
         "neck_out_m": out,
         "neck_depth_m": float(np.hypot(*(front - shoulder)[1:])),
@@ -127,9 +130,9 @@ def _of_top(body: BodyMeasurements, seen: SeenGarment, settings: tuple[str, ...]
         low = float(neck.points[:, 1].min()) - BELOW_UNDERARM_M  # planes across tilted bones are clear of the edge
         measures["armhole_drop_m"] = body.underarm_y - float(neck.centre[1])
     else:
-        tops = [one.points[one.points[:, 1].argmax()] for one in arms]
+        tops = [arm.points[arm.points[:, 1].argmax()] for arm in arms]
         measures["shoulder_out_m"] = float(np.mean([abs(point[0]) for point in tops])) - body.shoulder_x
-        low = float(np.mean([one.points[:, 1].min() for one in arms]))
+        low = float(np.mean([arm.points[:, 1].min() for arm in arms]))
         measures["armhole_drop_m"] = body.underarm_y - low + UNDER_ARM_M
     chest = _ease(seen, low - BELOW_UNDERARM_M, lambda y: body.chest_girth)
     measures["chest_ease_m"] = chest
@@ -147,15 +150,15 @@ def _of_top(body: BodyMeasurements, seen: SeenGarment, settings: tuple[str, ...]
     return measures
 
 
-def _of_sleeves(body: BodyMeasurements, seen: SeenGarment, arms: list[BodyOpening]) -> Told:
-    reach = float(np.mean([one.along_m for one in arms]))  # beyond the joint, where the shoulder's tip lies about
-    hem = float(np.mean([one.contour.length_m for one in arms]))
+def _of_sleeves(body: BodyMeasurements, seen: SeenGarment, arms: list[BodyOpening]) -> Readings:
+    reach = float(np.mean([arm.along_m for arm in arms]))  # beyond the joint, where the shoulder's tip lies about
+    hem = float(np.mean([arm.contour.length_m for arm in arms]))
     there = [
         seen.girth(part, 0, sign * (body.shoulder_x + share * (body.elbow_x - body.shoulder_x)))
         for share in ARMS
         for part, sign in (("left_arm", 1.0), ("right_arm", -1.0))
     ]
-    girth = next((one for one in there if one is not None and one < MOST_SLEEVE * body.arm_girth), None)
+    girth = next((girth for girth in there if girth is not None and girth < MOST_SLEEVE * body.arm_girth), None)
     return {
         "sleeve_length_m": reach + PULLED_M,
         "sleeve_hem_girth_m": hem,
@@ -163,14 +166,12 @@ def _of_sleeves(body: BodyMeasurements, seen: SeenGarment, arms: list[BodyOpenin
     }
 
 
-def _of_trousers(body: BodyMeasurements, seen: SeenGarment, settings: tuple[str, ...]) -> Told:
+def _of_trousers(body: BodyMeasurements, seen: SeenGarment, settings: tuple[str, ...]) -> Readings:
     waist = seen.openings[TRUNK][0]
     legs = [opening for part in ("left_leg", "right_leg") for opening in seen.openings.get(part, ())]
-    top, low = float(waist.centre[1]), float(np.mean([one.centre[1] for one in legs]))
-    hips, hem = (
-        _ease(seen, body.hip_y, lambda y: body.hip_girth),
-        float(np.mean([one.contour.length_m for one in legs])),
-    )
+    top, low = float(waist.centre[1]), float(np.mean([leg.centre[1] for leg in legs]))
+    hips = _ease(seen, body.hip_y, lambda y: body.hip_girth)
+    hem = float(np.mean([leg.contour.length_m for leg in legs]))
     return {
         "rise_drop_m": body.waist_y - top,
         "waist_ease_m": waist.contour.length_m - body.girth_at(top),
@@ -194,7 +195,7 @@ def _knee(body: BodyMeasurements, seen: SeenGarment, thigh: float, hem: float, l
     return knee if abs(knee / straight - 1.0) > SHAPED else None
 
 
-def _of_skirt(body: BodyMeasurements, seen: SeenGarment, settings: tuple[str, ...]) -> Told:
+def _of_skirt(body: BodyMeasurements, seen: SeenGarment, settings: tuple[str, ...]) -> Readings:
     waist, hem = seen.openings[TRUNK][0], seen.openings[TRUNK][-1]
     top = float(waist.centre[1])
     hips, low = _ease(seen, body.hip_y, lambda y: body.hip_girth), float(hem.centre[1])
@@ -212,12 +213,13 @@ def _of_skirt(body: BodyMeasurements, seen: SeenGarment, settings: tuple[str, ..
 
 def _ease(seen: SeenGarment, y: float, girth: Callable[[float], float]) -> float | None:
     """The cloth's girth [m] less the body's at the height ``y`` [m]; None where no cloth goes round."""
-    found = seen.girth(TRUNK, 1, y)
-    return None if found is None else found - girth(y)
+    around = seen.girth(TRUNK, 1, y)
+    return None if around is None else around - girth(y)
 
 
 def waist_gather(body: BodyMeasurements, seen: SeenGarment, low: float) -> tuple[float, float]:
-    """The height [m] of the waist's seam below armholes that end at ``low``, and the share of cloth gathered there.
+    """Returns the height [m] of the waist's seam, below armholes that end at the height ``low`` [m], and the share of
+    cloth gathered there, 0 for none.
 
     A gathered seam is where the girth grows at once; without one the waist is where the cloth is narrowest.
     """

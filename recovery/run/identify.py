@@ -20,17 +20,19 @@ from recovery.pattern.sewing_pattern import EdgeRef, Pattern
 
 RIGID = 1e-6  # singular values below: the change is a rigid motion of panels
 CAP_M = 0.05  # slack beyond this is "more than": the derivatives do not reach further
-BLIND = 1e-9  # of the largest curvature
+BLIND = 1e-9  # of the largest curvature: smaller ones are raised to it
+WEAKEST = 3  # shapes that get a sentence
 
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """How well the target tells the pattern, over M shapes that the symmetries leave free.
+    """How well a target determines the M shapes of a pattern that the symmetries leave free.
 
-    ``cloth`` (M,): singular values of dX/dy, root mean square over the cloth [m per m]. ``seen`` (M,): the same for
-    what the target shows, rising. ``modes`` (M, K, 2) [m]: the moves of the control points that belong to ``seen``,
-    each of unit length. ``slack_m`` (K,): the farthest that each control point can go while the surface changes by no
-    more than ``tolerance_m``, at most ``CAP_M``.
+    ``cloth`` (M,): singular values of the derivative of the drape by the shape, that is how far the cloth moves [m per
+    m], root mean square, falling. ``seen`` (M,): the same for what the target shows of that, rising. ``modes`` (M, K,
+    2): the moves of the K control points that belong to ``seen``, each of unit length. ``slack_m`` [m] (K,): the
+    farthest that each control point can go while the surface changes by no more than ``tolerance_m`` [m], at most
+    ``CAP_M``.
     """
 
     cloth: np.ndarray
@@ -40,16 +42,17 @@ class Identifiability:
     tolerance_m: float
 
 
-def identifiability(found: Recovered, tolerance_m: float) -> Identifiability:
-    """How well the target of ``found`` determines its best pattern."""
-    search = found.search
+def identifiability(recovered: Recovered, tolerance_m: float) -> Identifiability:
+    """Returns how well its target determines the best pattern of ``recovered``, where surfaces that differ by
+    ``tolerance_m`` [m] count as the same."""
+    search = recovered.search
     mesh, objective = search.mesh, search.objective
-    rest = mesh.rest_at(found.fitted.positions)
+    rest = mesh.rest_at(recovered.fitted.positions)
     rest_moves = (mesh.weights @ search.free.basis).reshape(len(rest), 2, -1)
-    moves = search.forward.sensitivity(torch.from_numpy(rest), found.fitted.nodes, rest_moves)
-    curvature = gauss_newton_matrix(objective, found.fitted.nodes, moves)
-    across, back = shape_basis(search.free.basis, search.free.controls.panel, found.fitted.positions)
-    share = meshes.vertex_areas(found.fitted.nodes, mesh.faces)
+    moves = search.forward.sensitivity(torch.from_numpy(rest), recovered.fitted.nodes, rest_moves)
+    curvature = gauss_newton_matrix(objective, recovered.fitted.nodes, moves)
+    across, back = shape_basis(search.free.basis, search.free.controls.panel, recovered.fitted.positions)
+    share = meshes.vertex_areas(recovered.fitted.nodes, mesh.faces)
     weighted = (np.sqrt(share / share.sum())[:, None, None] * moves).reshape(-1, moves.shape[2]) @ back
     return from_curvature(np.linalg.svd(weighted, compute_uv=False), back.T @ curvature @ back, across, tolerance_m)
 
@@ -75,8 +78,11 @@ def shape_basis(basis: np.ndarray, panel: np.ndarray, positions: np.ndarray) -> 
 
 
 def from_curvature(cloth: np.ndarray, curvature: np.ndarray, across: np.ndarray, tolerance_m: float) -> Identifiability:
-    """Returns the identifiability that follows from singular values ``cloth`` (M,), the loss's ``curvature`` (M, M),
-    and the moves ``across`` to which they belong."""
+    """Returns the identifiability for the loss's ``curvature`` (M, M) [m^2 per m^2] by the moves ``across`` (2 K, M) of
+    the control points.
+
+    ``cloth`` (M,) and ``tolerance_m`` are taken over as they are.
+    """
     value, vector = np.linalg.eigh(0.5 * (curvature + curvature.T))
     value = np.maximum(value, BLIND * max(float(value.max()), 1e-300))
     modes = (across @ vector).T.reshape(len(value), -1, 2)
@@ -87,7 +93,8 @@ def from_curvature(cloth: np.ndarray, curvature: np.ndarray, across: np.ndarray,
 
 
 def corner_names(pattern: Pattern) -> list[str]:
-    """A name for every corner of ``pattern``, panel by panel: panel, place in it, and the edges that meet there."""
+    """Returns a name for every corner of ``pattern``, panel by panel in the order of edges: panel, place in it, and the
+    edges that meet there."""
     partner = {}
     for stitch in pattern.stitches:
         partner[stitch.first], partner[stitch.second] = stitch.second, stitch.first
@@ -115,11 +122,11 @@ def _third(share: float) -> int:
     return min(2, int(3.0 * share))
 
 
-def weak_words(found: Identifiability, pattern: Pattern, count: int = 3) -> list[str]:
-    """A sentence on each of the ``count`` shapes that the target tells least."""
+def weak_words(limits: Identifiability, pattern: Pattern) -> list[str]:
+    """Returns a sentence on each of the ``WEAKEST`` shapes that the target shows least."""
     names = corner_names(pattern)
     sentences = []
-    for gain, mode in list(zip(found.seen, found.modes, strict=True))[:count]:
+    for gain, mode in list(zip(limits.seen, limits.modes, strict=True))[:WEAKEST]:
         size = np.linalg.norm(mode, axis=1)
         others = int((size > 0.5 * size.max()).sum()) - 1
         company = f", {others} other corners going along by more than half as much" if others else ""

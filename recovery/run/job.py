@@ -34,33 +34,35 @@ SEARCH_SHARE = 0.7  # of the time until the best so far is taken; the rest is fo
 
 
 class Written(NamedTuple):
-    """The recovered pattern as it was written: ``with_lines``, the pattern with the lines of ``style``, and ``made``,
-    the same with all that is drafted besides; the ``files``."""
+    """A recovered pattern as it was written, and its ``files``: ``with_lines`` is cut along the lines of ``style``,
+    ``finished`` has besides what is joined and drafted."""
 
     with_lines: Pattern
-    made: Pattern
+    finished: Pattern
     style: Style
     files: list[Path]
 
 
 class Nearness(NamedTuple):
-    """How near the garment lies to the target: its ``distance``, and that of the base, ``before``; the ``chamfer``
-    distance and its ``floor``. ``told`` says how well the target determines the pattern.
+    """How near the garment of the search lies to the target: its ``distance`` and that of the base, ``before``; its
+    ``chamfer`` distance, and the ``floor`` of that.
+
+    ``identifiability`` is how well the target determines the pattern.
     """
 
     distance: SurfaceDistance
     before: SurfaceDistance
     chamfer: Chamfer
     floor: Chamfer
-    told: Identifiability
+    identifiability: Identifiability
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """The result of a job, step by step."""
+    """The result of a recovery's job, step by step, and the ``seconds`` [s] that it took."""
 
     task: Task
-    found: Recovered
+    recovered: Recovered
     written: Written
     near: Nearness
     sewn: SewnAndWorn
@@ -68,24 +70,24 @@ class Outcome:
 
     @property
     def nodes(self) -> np.ndarray:
-        """Nodes [m] (N, 3) of the recovered garment, in the frame of the target."""
-        return self.found.fitted.nodes
+        """Nodes [m] (N, 3) of the recovered garment, in the frame of the wearer's body."""
+        return self.recovered.fitted.nodes
 
     @property
     def pattern(self) -> Pattern:
-        """The recovered pattern, panels and seams those of the base."""
-        return self.found.fitted.pattern
+        """The recovered pattern, with the panels and seams of the base."""
+        return self.recovered.fitted.pattern
 
     @property
     def files(self) -> list[Path]:
-        """Every file that was written."""
+        """The paths of all files that were written but for the report's."""
         return [*self.written.files, *self.sewn.files]
 
 
 def run_job(job: RecoveryJob, *, progress: Say = lambda line: None, say: Say = print) -> Outcome:
-    """Does ``job`` and returns its outcome. Pattern and garment are written as soon as they are found.
+    """Returns the outcome of ``job``, whose pattern and garment are written as soon as they are found.
 
-    ``progress`` is called every few seconds with a line on how far it is, ``say`` with what was found. Raises
+    ``progress`` is called every few seconds with a line on how far it is, ``say`` with lines on what was found. Raises
     ``InputError`` for what it refuses.
     """
     with watch.watched(write=progress, limit_s=60.0 * job.minutes) as clock:
@@ -108,17 +110,18 @@ def _run(job: RecoveryJob, clock: watch.Watch, say: Say) -> Outcome:
     for note in task.warnings:
         say(f"note      {note}")
     say(f"target    {len(task.mesh.vertices):,} vertices, {len(task.mesh.faces):,} triangles, on {task.wearer.source}")
-    search = search_pattern(task, say)
+    recovered = search_pattern(task, say)
     if clock.stopped_in:
         task.warnings.append(stopped_words(job.minutes, clock.stopped_in))
-    written = write_finished(task, search)
-    near = measure_nearness(task, search, say)
-    sewn = sew_and_wear(task, search, written.with_lines, say)
-    return Outcome(task, search, written, near, sewn, time.perf_counter() - started)
+    written = write_finished(task, recovered)
+    near = measure_nearness(task, recovered, say)
+    sewn = sew_and_wear(task, recovered, written.with_lines, say)
+    return Outcome(task, recovered, written, near, sewn, time.perf_counter() - started)
 
 
 def search_pattern(task: Task, say: Say) -> Recovered:
-    """The pattern whose drape is nearest to the target, within the search's share of the time."""
+    """Returns the recovery of the pattern whose drape is nearest to the target, within ``SEARCH_SHARE`` of the job's
+    time."""
     job = task.job
     job.out.mkdir(parents=True, exist_ok=True)
     options = replace(job.search, state_file=job.out / f"{task.name}.search.npz")
@@ -128,28 +131,28 @@ def search_pattern(task: Task, say: Say) -> Recovered:
         return recover_pattern(target, task.base, wearer.shaped, options, pose=wearer.pose, report=say)
 
 
-def write_finished(task: Task, found: Recovered) -> Written:
-    """Writes the pattern in all of its sizes, and the garment of the search."""
-    job, cut, fitted, wearer = task.job, task.cut, found.fitted, task.wearer
+def write_finished(task: Task, recovered: Recovered) -> Written:
+    """Writes the pattern in all of its sizes, and the garment of the search. Returns what was written."""
+    job, cut, fitted, wearer = task.job, task.cut, recovered.fitted, task.wearer
     style, with_lines, pattern = style_pattern(job.style, cut, fitted.pattern, task.warnings)
     files = export_pattern(pattern, job.out)
     for size in job.sizes:
         graded = in_other_size(fitted.pattern, cut.base, measure_body(wearer.shaped), cut.settings, size)
-        graded = style_pattern(style, replace(cut, collar_m=0.0), graded, told := [])[2]
-        task.warnings.extend(f"Size {size}: {words}" for words in told if words not in task.warnings)
+        graded = style_pattern(style, replace(cut, collar_m=0.0), graded, notes := [])[2]
+        task.warnings.extend(f"Size {size}: {words}" for words in notes if words not in task.warnings)
         files += export_pattern(replace(graded, name=f"{task.name}_{size}"), job.out)
-    cloth = found.search.mesh_of(fitted)
+    cloth = recovered.search.mesh_of(fitted)
     files += write_shape(job.out, task.name, cloth, fitted.nodes + wearer.trans, panel_texture(cloth))
     return Written(with_lines, pattern, style, files)
 
 
 def style_pattern(asked: Style, cut: Cut, pattern: Pattern, warnings: list[str]) -> tuple[Style, Pattern, Pattern]:
-    """Returns the style of a recovered ``pattern``, the pattern with its lines, and the same with all that is joined
+    """Returns the style of a recovered ``pattern``, the pattern cut along its lines, and that with all that is joined
     and drafted besides.
 
     ``asked`` is the style that the user asked for; the target's own collar (``cut``) is added unless it has one. If the
-    panels have no room for the lines, all of them are left out. ``warnings`` get a sentence on that, on a collar, and
-    on caps that are not smooth.
+    panels have no room for the lines, all of them are left out. ``warnings`` get a sentence on that, on a collar, on
+    ribs, and on sleeve caps that are not smooth.
     """
     style = asked
     if cut.collar_m and COLLAR not in asked.widths_m:
@@ -177,23 +180,24 @@ def style_pattern(asked: Style, cut: Cut, pattern: Pattern, warnings: list[str])
     return style, with_lines, cut_pattern
 
 
-def measure_nearness(task: Task, found: Recovered, say: Say) -> Nearness:
-    """How near the garment of the search is to the target, and which shapes of the pattern the target tells."""
-    here = (found.fitted.nodes, found.search.mesh_of(found.fitted).faces)
+def measure_nearness(task: Task, recovered: Recovered, say: Say) -> Nearness:
+    """Returns how near the garment of the search lies to the target, and how well the target determines the pattern.
+    ``say`` gets a line on it."""
+    here = (recovered.fitted.nodes, recovered.search.mesh_of(recovered.fitted).faces)
     distance = surface_distance(here, task.surface, known=task.known)
-    before = surface_distance((found.base.nodes, found.base.mesh.faces), task.surface, known=task.known)
+    before = surface_distance((recovered.base.nodes, recovered.base.mesh.faces), task.surface, known=task.known)
     chamfer, floor = surface_chamfer(here, task.surface, known=task.known)
     say(
         f"distance  {distance.mean_mm:.2f} mm mean, {distance.largest_mm:.1f} largest; Chamfer "
         f"{chamfer.squared_cm2:.4f} cm^2, floor {floor.squared_cm2:.4f}"
     )
     with watch.stage("what the target tells"):
-        told = identifiability(found, max(LEAST_TOLERANCE_M, 1e-3 * distance.rms_mm))
-    return Nearness(distance, before, chamfer, floor, told)
+        limits = identifiability(recovered, max(LEAST_TOLERANCE_M, 1e-3 * distance.rms_mm))
+    return Nearness(distance, before, chamfer, floor, limits)
 
 
 def stopped_words(minutes: float, stage: str) -> str:
-    """The sentence of a report whose search ended with its time."""
+    """Returns the sentence of the report on a search of a job of ``minutes`` that ended with its time in ``stage``."""
     return (
         f"The search ended with its time, {SEARCH_SHARE:.0%} of {minutes:g} minutes (--minutes), during: {stage}. The "
         "pattern is the best so far."

@@ -21,7 +21,8 @@ WORDS = {"collar": "side of the neck", "spine3": "chest", "spine2": "ribs", "spi
 
 
 def placed_fault(fault: ScanFault, job: RecoveryJob) -> ScanFault:
-    """``fault`` with its place on the wearer, where a wearer is given; otherwise it has its place in the file."""
+    """Returns ``fault`` with its place on the wearer of ``job``, in words and in metres; ``fault`` itself where no
+    wearer is given or the scan does not lie on it."""
     if fault.mesh is None or job.body == FIT_INSIDE:
         return fault
     wearer = read_target_wearer(job.body, betas=job.betas, pose=job.pose)
@@ -41,23 +42,20 @@ def placed_fault(fault: ScanFault, job: RecoveryJob) -> ScanFault:
 
 def on_body(point: np.ndarray, mesh: GarmentMesh, joints: np.ndarray) -> str:
     """Returns a phrase on where ``point`` [m] (3,) lies on a garment worn by a body with ``joints`` [m] (24, 3), such
-    as "near the left shoulder, 12 cm from the hem at (0.2, 1.1, 0.05) m".
-    """
+    as "near the left shoulder, 12 cm from the hem at (0.2, 1.1, 0.05) m"."""
     joint = JOINT_NAMES[int(np.linalg.norm(joints - point, axis=1).argmin())]
     side, _, part = joint.rpartition("_")
     name = WORDS.get(part, part)
     words = f"near the {side} {name}" if side else f"near the {name}"
-    found = opening_names(mesh, joints)
-    if found:
-        nearest, away = min(
-            ((text, float(np.linalg.norm(line - point, axis=1).min())) for text, line in found), key=lambda one: one[1]
-        )
+    if openings := opening_names(mesh, joints):
+        away, nearest = min((float(np.linalg.norm(line - point, axis=1).min()), text) for text, line in openings)
         words += f", {100 * away:.0f} cm from the {nearest}"
     return f"{words} at {point_words(point)} m"
 
 
 def opening_names(mesh: GarmentMesh, joints: np.ndarray) -> list[tuple[str, np.ndarray]]:
-    """The openings that the body goes through, by name, and their points [m] (n, 3)."""
+    """Returns the openings of ``mesh`` that a body with ``joints`` [m] (24, 3) goes through, each with its name and its
+    points [m] (n, 3)."""
     chains = bone_chains(joints)
     trunk, named = [], []
     for contour in open_contours(mesh.vertices, mesh.faces):

@@ -34,7 +34,7 @@ VIEWS = (("front", 0.0), ("side", 70.0), ("back", 180.0))
 
 
 class MeshArrays(NamedTuple):
-    """Vertices [m] (V, 3) and faces (F, 3)."""
+    """A mesh: ``vertices`` [m] (V, 3) and ``faces`` (F, 3)."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -100,12 +100,11 @@ def fault_picture(mesh: GarmentMesh, points: np.ndarray) -> bytes:
     return png(figure)
 
 
-def panels_over_base(base: Pattern, found: Pattern) -> bytes:
-    """Returns a PNG of every recovered panel (filled) over the same panel of the base (dashed), which is turned and
-    shifted to where it fits best. All are drawn at one scale.
-    """
-    figure, axes = _panel_axes(found)
-    for axis, old, new in zip(axes, base.panels, found.panels, strict=False):
+def panels_over_base(base: Pattern, pattern: Pattern) -> bytes:
+    """Returns a PNG of every panel of the recovered ``pattern`` (filled) over the same panel of the ``base`` (dashed),
+    which is turned and shifted to where it fits best. All are drawn at one scale."""
+    figure, axes = _panel_axes(pattern)
+    for axis, old, new in zip(axes, base.panels, pattern.panels, strict=False):
         line, was = geometry.outline(new), _laid(old, new)
         axis.fill(*line.T, facecolor=(*CLOTH, 0.25), edgecolor=CLOTH, linewidth=1.6, label="recovered")
         axis.fill(*was.T, fill=False, linestyle="--", edgecolor="0.25", linewidth=1.0, label="base")
@@ -115,13 +114,13 @@ def panels_over_base(base: Pattern, found: Pattern) -> bytes:
     return png(figure)
 
 
-def what_is_told(found: Identifiability, pattern: Pattern) -> bytes:
-    """Returns a PNG of what the target of ``found`` tells: a disc at each corner, as large as the corner is
-    undetermined, and the spectrum of what the target shows."""
+def undetermined_corners(limits: Identifiability, pattern: Pattern) -> bytes:
+    """Returns a PNG of what the target tells about ``pattern``: a disc at each corner as large as the corner is
+    undetermined, and the spectra of how far the cloth moves and what the target shows."""
     figure, axes = _panel_axes(pattern, more=1)
     first = 0
     for axis, panel in zip(axes, pattern.panels, strict=False):
-        own = found.slack_m[first : first + len(panel.edges)]
+        own = limits.slack_m[first : first + len(panel.edges)]
         corners = panel.vertices[[edge.start for edge in panel.edges]]
         first += len(panel.edges)
         axis.fill(*geometry.outline(panel).T, facecolor="0.94", edgecolor="0.3", linewidth=1.0)
@@ -135,8 +134,8 @@ def what_is_told(found: Identifiability, pattern: Pattern) -> bytes:
         axis.set_title(panel.name.replace("_", " "), fontsize=9)
     _ruler(axes[0])
     spectrum = axes[len(pattern.panels)]
-    spectrum.semilogy(1.0 + np.arange(len(found.cloth)), found.cloth, ".-", color="0.5", label="cloth moves")
-    spectrum.semilogy(1.0 + np.arange(len(found.seen)), found.seen[::-1], ".-", color="C3", label="target shows")
+    spectrum.semilogy(1.0 + np.arange(len(limits.cloth)), limits.cloth, ".-", color="0.5", label="cloth moves")
+    spectrum.semilogy(1.0 + np.arange(len(limits.seen)), limits.seen[::-1], ".-", color="C3", label="target shows")
     spectrum.set_title("mm per mm of pattern", fontsize=9)
     spectrum.tick_params(labelsize=7)
     spectrum.legend(fontsize=7)
@@ -144,9 +143,8 @@ def what_is_told(found: Identifiability, pattern: Pattern) -> bytes:
 
 
 def search_history(history: np.ndarray) -> bytes:
-    """Returns a PNG with two curves over the steps of the search: the distance [mm] of the surfaces and of the
-    contours.
-    """
+    """Returns a PNG with two curves over the steps of a search with this ``history`` (I + 1, 4): the distance [mm] of
+    the surfaces and that of the contours."""
     figure = Figure(figsize=(6.0, 2.6), dpi=DPI, layout="constrained")
     axis = figure.subplots()
     for column, name in ((1, "surfaces"), (2, "openings")):

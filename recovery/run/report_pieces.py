@@ -66,7 +66,7 @@ def add_pieces(page: ReportPage, pattern: Pattern) -> None:
 
 
 def scaled_drawing(sheet: CuttingSheet) -> tuple[str, str]:
-    """The drawing of ``sheet`` as SVG text for a page, and its caption with the scale.
+    """Returns the drawing of ``sheet`` as SVG text for a page, and its caption with the scale.
 
     Lines, names and numbers are as large on the page as at true size; of the labels the pieces' names are left.
     """
@@ -177,7 +177,7 @@ PAGE_STYLE = (
 
 
 class ReportPage:
-    """A page that grows section by section."""
+    """An HTML page that grows section by section."""
 
     def __init__(self, title: str) -> None:
         self.title = title

@@ -26,7 +26,7 @@ FAR_SHARE = 5.0  # the largest distance over the root mean square that is worth 
 
 
 def page_of(outcome: Outcome) -> str:
-    """The report as one HTML page."""
+    """Returns the report as the text of one HTML page."""
     page = ReportPage(f"Sewing pattern of {outcome.task.name}")
     page.say(*report_summary(outcome))
     good, look = verdicts(outcome)
@@ -35,12 +35,12 @@ def page_of(outcome: Outcome) -> str:
     page.section("Before you cut")
     page.say("Look at these points first." if look else "Nothing stands out.")
     page.notes(look)
-    add_pieces(page, outcome.written.made)
+    add_pieces(page, outcome.written.finished)
     _shape(page, outcome)
     _pattern(page, outcome)
-    _told(page, outcome)
+    _limits(page, outcome)
     _elsewhere(page, outcome)
-    _made(page, outcome)
+    _making(page, outcome)
     return page.text()
 
 
@@ -48,7 +48,8 @@ HEADS = ("cut", "from the target, mean", "Chamfer", "seams differ by", "sewn ane
 
 
 def key_figures(outcome: Outcome) -> tuple[str, ...]:
-    """Returns the figures at the top of the record as texts, in the order of the page's first table."""
+    """Returns the figures of the page's first table as texts: cut, distances, seams and minutes, one for each of
+    ``HEADS``."""
     top = top_of(outcome)
     return (
         top["cut"].split(". ")[0],  # the sentences stand below, before cutting
@@ -61,7 +62,8 @@ def key_figures(outcome: Outcome) -> tuple[str, ...]:
 
 
 def top_of(outcome: Outcome) -> dict[str, Any]:
-    """Returns the figures by name that a recovery is judged by, for JSON."""
+    """Returns the figures that a recovery is judged by, by name with the unit, for JSON; None for those of a pattern
+    that could not be sewn."""
     return {
         "distance_mean_mm": outcome.near.distance.mean_mm,
         "chamfer_cm2": outcome.near.chamfer.squared_cm2,
@@ -74,8 +76,8 @@ def top_of(outcome: Outcome) -> dict[str, Any]:
 
 
 def report_summary(outcome: Outcome) -> list[str]:
-    """Three sentences: what it is, how near, how the base was changed."""
-    pattern, distance, graded = outcome.pattern, outcome.near.distance, outcome.found.graded
+    """Returns three sentences: what was found, how near it lies to the target, and how the base was changed."""
+    pattern, distance, graded = outcome.pattern, outcome.near.distance, outcome.recovered.graded
     return [
         f"A pattern of {len(pattern.panels)} panels and {len(pattern.stitches)} seams was found from the base "
         f"{outcome.task.cut.called}.{style_words(outcome)}",
@@ -87,13 +89,13 @@ def report_summary(outcome: Outcome) -> list[str]:
 
 
 def style_words(outcome: Outcome) -> str:
-    """Sentences, after a space, on the lines that were drawn into the pattern; empty for none."""
+    """Returns a sentence, after a space, on the lines that were drawn into the pattern; empty without a style."""
     if not outcome.written.style:
         return ""
-    made = outcome.written.made
+    finished = outcome.written.finished
     return (
-        f" With {outcome.written.style.words()} it has {len(made.panels)} pieces and {len(made.stitches)} seams: "
-        "lines that are sewn again move no cloth."
+        f" With {outcome.written.style.words()} it has {len(finished.panels)} pieces and {len(finished.stitches)} "
+        "seams: lines that are sewn again move no cloth."
     )
 
 
@@ -103,7 +105,7 @@ def _percent(factors: np.ndarray) -> str:
 
 
 def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
-    """Sentences on what is well, and on what to look at."""
+    """Returns sentences on what is well, and sentences on what to look at."""
     good, look = [], list(outcome.task.warnings)
     rms, largest = outcome.near.distance.rms_mm, outcome.near.distance.largest_mm
     line = f"Target and result are {rms:.1f} mm apart (root mean square)."
@@ -125,40 +127,35 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
         good.append(
             f"All seams can be sewn: edges have the lengths that they should have within {max(worst, 0.01):.2g} %."
         )
-    eased = [100.0 * abs(seam.mismatch) for seam in geometry.seams(outcome.written.made) if ease_rows(seam)]
-    if eased:
+    mismatches = [100.0 * abs(seam.mismatch) for seam in geometry.seams(outcome.written.finished)]
+    if eased := [percent for percent in mismatches if percent > SEAM_PCT]:
         look.append(
             f"{len(eased)} seams have ease, up to {max(eased):.1f} %: the table of seams says which edge to hold in."
         )
-    unsure = int((outcome.near.told.slack_m > UNSURE_M).sum())
-    if unsure:
+    slack_m = outcome.near.identifiability.slack_m
+    if unsure := int((slack_m > UNSURE_M).sum()):
         look.append(
-            f"{unsure} of {len(outcome.near.told.slack_m)} corners could move by more than a centimetre without a "
+            f"{unsure} of {len(slack_m)} corners could move by more than a centimetre without a "
             "difference that the target shows: see what the target cannot tell."
         )
-    if not outcome.found.fitted.finished:
+    if not outcome.recovered.fitted.finished:
         look.append("The search ended because no further step helped or came to rest, not because it had converged.")
-    if outcome.found.left:
-        look.append(f"A part of the search was left out: {outcome.found.left}.")
+    if outcome.recovered.left:
+        look.append(f"A part of the search was left out: {outcome.recovered.left}.")
     if outcome.sewn.anew is not None:
         draped = outcome.sewn.anew.draped
         if draped.at_rest:
             good.append("Sewn anew from flat panels, the garment comes to rest on the body.")
         else:
-            left = max(one.report.residual_n for one in (draped.rest, draped.posed) if one is not None)
+            left = max(drape.report.residual_n for drape in (draped.rest, draped.posed) if drape is not None)
             look.append(f"Sewn anew, the garment is not at rest: {left:.1e} N are left at a node.")
         look += cut_words(draped.figures["rest"]["edges_in_body_pct"], draped.figures["edge_length_m"])
         (good if outcome.sewn.anew.distance.mean_mm <= ANEW_MM else look).append(anew_words(outcome.sewn.anew))
     return good, look
 
 
-def ease_rows(seam: geometry.SeamLine) -> bool:
-    """Whether one edge of a seam has to be eased into the other."""
-    return 100.0 * abs(seam.mismatch) > SEAM_PCT
-
-
 def seam_max_pct(outcome: Outcome) -> float:
-    """The largest difference [%] of sewn edges from what the base asks for: equal, or its ease."""
+    """Returns the largest error [%] of a seam: how far the ratio of its edges' lengths is from the one in the base."""
     return 100.0 * float(np.abs(ease_left(outcome.pattern, outcome.task.base)).max(initial=0.0))
 
 
@@ -167,14 +164,18 @@ def cut_of(outcome: Outcome) -> str:
     pattern = outcome.pattern
     words = f"{outcome.task.cut.called}: {len(pattern.panels)} panels, {len(pattern.stitches)} seams"
     if outcome.written.style:
-        made = outcome.written.made
-        words += f"; with {outcome.written.style.words()}: {len(made.panels)} pieces, {len(made.stitches)} seams"
+        finished = outcome.written.finished
+        words += (
+            f"; with {outcome.written.style.words()}: {len(finished.panels)} pieces, {len(finished.stitches)} seams"
+        )
     return ". ".join((words, *outcome.task.cut.differs))
 
 
 def cut_words(edges_in_body_pct: float, edge_length_m: float) -> list[str]:
-    """Returns a list with a sentence if the drape goes through the body, as edges may whose ends are clear; otherwise
-    an empty one.
+    """Returns a list with a sentence if more than ``CUT_PCT`` of the drape's edges go through the body, otherwise an
+    empty one.
+
+    Edges of the length ``edge_length_m`` [m] may do so though their ends are clear.
     """
     if edges_in_body_pct <= CUT_PCT:
         return []
@@ -191,7 +192,7 @@ def _shape(page: ReportPage, outcome: Outcome) -> None:
     page.picture(
         report_pictures.target_and_result(
             report_pictures.MeshArrays(outcome.task.mesh.vertices, outcome.task.mesh.faces),
-            report_pictures.MeshArrays(outcome.nodes, outcome.found.search.mesh.faces),
+            report_pictures.MeshArrays(outcome.nodes, outcome.recovered.search.mesh.faces),
             report_pictures.MeshArrays(skin.vertices - outcome.task.wearer.trans, skin.faces),
         ),
         "Above the target, in the middle the recovered garment, below its distance from the target. Under the cloth "
@@ -214,7 +215,7 @@ def _shape(page: ReportPage, outcome: Outcome) -> None:
         ],
     )
     page.picture(
-        report_pictures.search_history(outcome.found.fitted.history), "How the search came nearer to the target."
+        report_pictures.search_history(outcome.recovered.fitted.history), "How the search came nearer to the target."
     )
 
 
@@ -232,8 +233,8 @@ def _pattern(page: ReportPage, outcome: Outcome) -> None:
     page.table(("panel", "width [cm]", "height [cm]", "area against the base"), rows)
 
 
-def _told(page: ReportPage, outcome: Outcome) -> None:
-    limits = outcome.near.told
+def _limits(page: ReportPage, outcome: Outcome) -> None:
+    limits = outcome.near.identifiability
     page.section("What the target cannot tell")
     sure = int((limits.slack_m <= UNSURE_M).sum())
     page.say(
@@ -252,7 +253,7 @@ def _told(page: ReportPage, outcome: Outcome) -> None:
     ]
     page.table(("corner", "may move by"), far)
     page.picture(
-        report_pictures.what_is_told(limits, outcome.pattern),
+        report_pictures.undetermined_corners(limits, outcome.pattern),
         "Discs: how far [mm] each corner may move unseen. Right: how far the cloth moves, and how much of it the "
         "target shows, for every change of shape, strongest first. Openings and folds count more than flat cloth, so "
         "that the target can show more than the cloth moves on average.",
@@ -262,13 +263,10 @@ def _told(page: ReportPage, outcome: Outcome) -> None:
     page.say(
         f"Of {len(limits.seen)} independent changes of shape that the symmetries leave, the target shows the best one "
         f"at {limits.seen[-1]:.2g} and the poorest at {limits.seen[0]:.2g} mm per mm (condition "
-        f"{_condition(limits.seen):.0f}); the cloth itself moves by {limits.cloth[0]:.2g} to {limits.cloth[-1]:.2g}. "
+        f"{limits.seen[-1] / max(float(limits.seen[0]), 1e-12):.0f}); the cloth itself moves by "
+        f"{limits.cloth[0]:.2g} to {limits.cloth[-1]:.2g}. "
         "These are derivatives: they hold for small changes."
     )
-
-
-def _condition(values: np.ndarray) -> float:
-    return float(values.max() / max(float(values.min()), 1e-12))
 
 
 def _elsewhere(page: ReportPage, outcome: Outcome) -> None:
@@ -280,33 +278,33 @@ def _elsewhere(page: ReportPage, outcome: Outcome) -> None:
     page.table(("where", "how"), [(w.what, w.refusal or describe_worn(w)) for w in outcome.sewn.worn])
 
 
-def _made(page: ReportPage, outcome: Outcome) -> None:
+def _making(page: ReportPage, outcome: Outcome) -> None:
     page.section("How it was made")
     page.say(
         f"The target has {len(outcome.task.mesh.vertices):,} vertices and was draped on {outcome.task.wearer.source}."
     )
-    page.say(cloth_words(outcome.found))
-    mesh = outcome.found.search.mesh
+    page.say(cloth_words(outcome.recovered))
+    search = outcome.recovered.search
     page.say(
-        f"The simulator's mesh has {mesh.node_count:,} nodes; {outcome.found.search.free.count} numbers were free; the "
-        f"search took {len(outcome.found.fitted.history) - 1} steps, everything {outcome.seconds:.0f} s."
+        f"The simulator's mesh has {search.mesh.node_count:,} nodes; {search.free.count} numbers were free; the "
+        f"search took {len(outcome.recovered.fitted.history) - 1} steps, everything {outcome.seconds:.0f} s."
     )
     page.table(("file", "what it is"), [(path.name, file_words(path.name)) for path in outcome.files])
 
 
-def cloth_words(found: Recovered) -> str:
-    """Sentences on the cloth that was assumed."""
-    cloth = found.fitted.cloth
+def cloth_words(recovered: Recovered) -> str:
+    """Returns sentences on the cloth that was assumed, with its constants."""
+    cloth = recovered.fitted.cloth
     figures = (
         f"{1e3 * cloth.density_kg_m2:.0f} g/m², stretch stiffness {cloth.h00:.0f} N/m across and {cloth.h11:.0f} "
         f"along, bending stiffness {1e6 * cloth.bending_j:.0f} µJ"
     )
-    kind = "a measured fabric" if found.fabric in MEASURED else "a cloth of the simulator's, not a measured one"
-    return f"The cloth was taken to be {found.fabric}, {kind}: {figures}. It was given, not recovered."
+    kind = "a measured fabric" if recovered.fabric in MEASURED else "a cloth of the simulator's, not a measured one"
+    return f"The cloth was taken to be {recovered.fabric}, {kind}: {figures}. It was given, not recovered."
 
 
 def file_words(name: str) -> str:
-    """Returns a phrase on the purpose of a written file called ``name``."""
+    """Returns a phrase on the purpose of a written file called ``name``; empty for another kind of file."""
     if name.endswith("_rest.obj"):
         return "the garment sewn anew, in the T-pose"
     kinds = {
@@ -322,19 +320,23 @@ def file_words(name: str) -> str:
 
 
 def record_of(outcome: Outcome) -> dict[str, Any]:
-    """Returns the numbers of the report, as ``report.json`` holds them."""
-    limits, fitted, mesh = outcome.near.told, outcome.found.fitted, outcome.found.search.mesh
+    """Returns the figures of the report by name, as ``report.json`` holds them."""
+    limits, fitted, mesh = outcome.near.identifiability, outcome.recovered.fitted, outcome.recovered.search.mesh
     anew = outcome.sewn.anew
     return {
         **top_of(outcome),
-        "left": outcome.found.left,
+        "left": outcome.recovered.left,
         "name": outcome.task.name,
         "target": {
             "file": outcome.task.job.target.name,
             "vertices": len(outcome.task.mesh.vertices),
             "area_m2": float(meshes.face_areas(outcome.task.mesh.vertices, outcome.task.mesh.faces).sum()),
         },
-        "base": {"name": outcome.task.cut.called, "told": outcome.task.cut.told, "settings": outcome.task.cut.settings},
+        "base": {
+            "name": outcome.task.cut.called,
+            "told": outcome.task.cut.by_openings,
+            "settings": outcome.task.cut.settings,
+        },
         "body": {
             "source": outcome.task.wearer.source,
             "betas": outcome.task.wearer.betas.tolist(),
@@ -342,20 +344,20 @@ def record_of(outcome: Outcome) -> dict[str, Any]:
             "trans": outcome.task.wearer.trans.tolist(),
             "residual_mm": outcome.task.wearer.residual_mm,
         },
-        "fabric": {"name": outcome.found.fabric, "constants": asdict(fitted.cloth)},
+        "fabric": {"name": outcome.recovered.fabric, "constants": asdict(fitted.cloth)},
         "warnings": outcome.task.warnings,
         "distance": outcome.near.distance._asdict(),
         "base_distance": outcome.near.before._asdict(),
         "chamfer": outcome.near.chamfer._asdict(),
         "chamfer_floor": outcome.near.floor._asdict(),
         "graded": {
-            "widths": outcome.found.graded.widths.tolist(),
-            "heights": outcome.found.graded.heights.tolist(),
-            "misfit": outcome.found.graded.misfit,
+            "widths": outcome.recovered.graded.widths.tolist(),
+            "heights": outcome.recovered.graded.heights.tolist(),
+            "misfit": outcome.recovered.graded.misfit,
         },
         "search": {
             "nodes": mesh.node_count,
-            "free": outcome.found.search.free.count,
+            "free": outcome.recovered.search.free.count,
             "steps": len(fitted.history) - 1,
             "loss_m2": float(fitted.history[:, 0].min()),
             "finished": fitted.finished,
@@ -368,7 +370,7 @@ def record_of(outcome: Outcome) -> dict[str, Any]:
                 "second_m": seam.second_m,
                 "mismatch": seam.mismatch,
             }
-            for seam in geometry.seams(outcome.written.made)
+            for seam in geometry.seams(outcome.written.finished)
         ],
         "identifiability": {
             "cloth": limits.cloth.tolist(),

@@ -31,19 +31,19 @@ from recovery.run.target import shape_body
 from recovery.run.task import Task
 
 ANEW_MM = OTHER_FOLDS_MM  # more between the report's drape and the pattern sewn anew is a warning
-BELT_M = 0.005
+BELT_M = 0.005  # a move of the belt that is worth a sentence
 # Shapes of the shipped body: its first component is height, its second how narrow the chest is over the hips.
 BODIES: dict[str, tuple[float, ...]] = {"a smaller body": (-0.7,), "a narrower chest": (0.0, 2.0)}
 POSES = ("reach:110", "stretch:60")
 
 
 class SewnAnew(NamedTuple):
-    """The pattern sewn anew: the drape ``draped`` and its ``distance`` from that of the report, both in the wearer's
-    pose.
+    """A recovered pattern sewn anew: the drape ``draped`` and its ``distance`` from the search's drape, which the
+    report shows, both in the wearer's pose.
 
-    ``by_itself``: the distance at which it came to rest by itself, before its belt was laid on the report's waist or
-    before it was hung or put on as the report shows it; the same as ``distance`` if nothing was done. ``belt_moved_m``
-    [m]: by how much the belt was moved up, zero without one.
+    ``by_itself``: the distance at which it came to rest by itself, before its belt was laid on that drape's waist or
+    before it was hung or put on as that lies; the same as ``distance`` if nothing was done. ``belt_moved_m`` [m]: by
+    how much the belt was moved up, zero without one.
     """
 
     draped: Draped
@@ -52,8 +52,9 @@ class SewnAnew(NamedTuple):
     belt_moved_m: float
 
 
-def sew_anew(found: Recovered, start: DrapeStart, pattern: Pattern | None = None) -> SewnAnew:
-    """The pattern of ``found`` meshed, placed and sewn from nothing as ``start`` says, its belt at the report's waist.
+def sew_anew(recovered: Recovered, start: DrapeStart, pattern: Pattern | None = None) -> SewnAnew:
+    """Returns the pattern of ``recovered`` meshed, placed and sewn from nothing as ``start`` says, and worn as the
+    search's drape, which the report shows; its belt lies at that drape's waist.
 
     ``pattern`` is the same with style lines, if it has any.
 
@@ -64,19 +65,21 @@ def sew_anew(found: Recovered, start: DrapeStart, pattern: Pattern | None = None
     coarser mesh is tried, and the nearest of those that are worn is taken. Raises ``InputError`` where the panels
     cannot be sewn.
     """
-    shown, tried = found.shown, [found.sewn] if found.sewn is not None and pattern is None else []
+    shown, tried = recovered.shown, [recovered.sewn] if recovered.sewn is not None and pattern is None else []
 
-    def off_mm(one: Draped) -> float:
-        return surface_distance(one.surface, shown.surface).mean_mm
+    def off_mm(draped: Draped) -> float:
+        return surface_distance(draped.surface, shown.surface).mean_mm
 
-    def rank(one: Draped) -> tuple[int, bool, float]:
-        return len(start.lost(one)), not one.at_rest, off_mm(one)
+    def rank(draped: Draped) -> tuple[int, bool, float]:
+        return len(start.lost(draped)), not draped.at_rest, off_mm(draped)
 
     if not tried or rank(tried[0].worn) > (0, False, ANEW_MM):
-        dressing, start = _dressing(found, start, rank)
+        dressing, start = _dressing(recovered, start, rank)
         try:
             tried.append(
-                sew_and_dress(pattern or found.fitted.pattern, start, dressing, shown, off_mm=off_mm, enough_mm=ANEW_MM)
+                sew_and_dress(
+                    pattern or recovered.fitted.pattern, start, dressing, shown, off_mm=off_mm, enough_mm=ANEW_MM
+                )
             )
         except InputError:
             if not tried:
@@ -85,32 +88,32 @@ def sew_anew(found: Recovered, start: DrapeStart, pattern: Pattern | None = None
     return _beside(shown, best.loose, best.worn)
 
 
-def _dressing(found: Recovered, start: DrapeStart, rank: Callable[[Draped], Any]) -> tuple[Dressing, DrapeStart]:
-    """How the pattern of ``found`` is put on, its belt laid on the report's waist, and ``start`` in its cloth."""
-    body, pose, cloth = start.body, start.pose, found.fitted.cloth
-    laid = isinstance(found.search.forward, LaidDrape)
+def _dressing(recovered: Recovered, start: DrapeStart, rank: Callable[[Draped], Any]) -> tuple[Dressing, DrapeStart]:
+    """How the pattern of ``recovered`` is put on, its belt laid on the report's waist, and ``start`` in its cloth."""
+    body, pose, cloth = start.body, start.pose, recovered.fitted.cloth
+    laid = isinstance(recovered.search.forward, LaidDrape)
     start = replace(start, drape=laying_options(start.drape) if laid else start.drape, cloth=cloth)
     surface = body.v_template if pose is None else body.posed_vertices(pose[None])[0]
     skin = start.drape.skin(surface, body.faces)
-    there, joints = open_contours(*found.shown.surface), posed_joints(body, pose)
+    there, joints = open_contours(*recovered.shown.surface), posed_joints(body, pose)
 
-    def held(one: Draped) -> Draped:
-        matches, _ = match_contours(open_contours(*one.surface), there, joints)
-        return hold_as_target(one, matches, there, skin, cloth)
+    def held(draped: Draped) -> Draped:
+        matches, _ = match_contours(open_contours(*draped.surface), there, joints)
+        return hold_as_target(draped, matches, there, skin, cloth)
 
     return Dressing(skin, cloth, laid, held, start.lost, rank), start
 
 
 def _beside(shown: Shown, loose: Draped, worn: Draped) -> SewnAnew:
     """The garment ``worn`` beside that of the report, ``shown``; ``loose`` is what it was before its belt was laid."""
-    distance, by_itself = (surface_distance(one.surface, shown.surface) for one in (worn, loose))
+    distance, by_itself = (surface_distance(draped.surface, shown.surface) for draped in (worn, loose))
     held = loose.rest.held
     moved = float((worn.nodes[held] - loose.nodes[held])[:, 1].mean()) if len(held) else 0.0
     return SewnAnew(worn, distance, by_itself, moved)
 
 
 def anew_words(anew: SewnAnew) -> str:
-    """Sentences on how far the pattern sewn anew lies from what the report shows, its belt, and its folds."""
+    """Returns sentences on how far the pattern sewn anew lies from what the report shows, its belt, and its folds."""
     words = f"Sewn anew it lies {anew.distance.mean_mm:.1f} mm from the garment of this report on average"
     words += "." if anew.distance.mean_mm <= ANEW_MM else ": it fell into other folds."
     if abs(anew.belt_moved_m) > BELT_M:
@@ -131,10 +134,11 @@ def anew_words(anew: SewnAnew) -> str:
 
 @dataclass(frozen=True, eq=False)
 class WornElsewhere:
-    """A garment on another body or in another pose: ``nodes`` [m] (N, 3) and ``faces`` on ``skin`` [m] (V, 3), or the
-    ``refusal`` that says why not.
+    """A garment on another body or in another pose: ``nodes`` [m] (N, 3) and ``faces`` (F, 3) on the body with ``skin``
+    [m] (V, 3) and ``skin_faces``, with its ``drape_figures``; or empty ones and the ``refusal`` that says why not.
 
-    ``lost``: parts of the body that should go through an opening and do not, such as an arm beside its sleeve.
+    ``what`` names body or pose. ``lost``: parts of the body that should go through an opening and do not, such as an
+    arm beside its sleeve.
     """
 
     what: str
@@ -157,10 +161,11 @@ def drape_elsewhere(
     *,
     cloth: OrthotropicMaterial,
 ) -> Iterator[WornElsewhere]:
-    """``pattern`` sewn and draped on two other shapes of ``standard``, and taken to two poses of ``body``.
+    """Yields ``pattern`` sewn and draped on two other shapes of the body ``standard``, and then carried to two poses of
+    ``body``.
 
-    ``sewn`` is its drape on ``body`` in the T-pose; ``parts`` of the body should go through its openings;
-    ``cloth`` is what it is made of. A drape that is refused becomes a ``WornElsewhere`` that says why.
+    ``sewn`` is its drape on ``body`` in the T-pose; ``parts`` of the body should go through its openings; ``cloth`` is
+    what it is made of. A drape that is refused becomes a ``WornElsewhere`` that says why.
     """
     wearers = [(what, shape_body(standard, np.array(betas)), None) for what, betas in BODIES.items()]
     wearers += [(f"pose {text}", body, read_pose(text)) for text in POSES]
@@ -182,7 +187,8 @@ def drape_elsewhere(
 
 
 class SewnAndWorn(NamedTuple):
-    """The pattern sewn from flat panels, its ``distance`` from the target, the garment elsewhere, and files of it.
+    """A recovered pattern sewn from flat panels, ``anew``, its ``distance`` from the target, the garment on other
+    bodies and in other poses, ``worn``, and the ``files`` of it.
 
     ``anew`` and ``distance`` are None where it cannot be sewn.
     """
@@ -193,15 +199,19 @@ class SewnAndWorn(NamedTuple):
     files: list[Path]
 
 
-def sew_and_wear(task: Task, found: Recovered, pattern: Pattern, say: Say) -> SewnAndWorn:
-    """The ``pattern``, with its style lines, sewn from flat panels and worn elsewhere; writes the garment at rest."""
+def sew_and_wear(task: Task, recovered: Recovered, pattern: Pattern, say: Say) -> SewnAndWorn:
+    """Returns ``pattern``, with its style lines, sewn from flat panels and worn on other bodies and in other poses;
+    writes the garment at rest.
+
+    ``task.warnings`` get a sentence on what fails, ``say`` gets a line on each drape.
+    """
     job, wearer = task.job, task.wearer
-    parts = [match.place.part for match in found.matches if match.place.part is not None]
-    options = replace(job.search.drape, edge_length_m=found.edge_length_m)
-    with_lines = None if pattern is found.fitted.pattern else pattern
+    parts = [match.place.part for match in recovered.matches if match.place.part is not None]
+    options = replace(job.search.drape, edge_length_m=recovered.edge_length_m)
+    with_lines = None if pattern is recovered.fitted.pattern else pattern
     try:
         with watch.stage("sewn anew"):
-            anew = sew_anew(found, DrapeStart(wearer.shaped, options, wearer.pose, None, tuple(parts)), with_lines)
+            anew = sew_anew(recovered, DrapeStart(wearer.shaped, options, wearer.pose, None, tuple(parts)), with_lines)
     except InputError as error:
         words = "The recovered pattern cannot be sewn from flat panels, so there is no garment cache"
         task.warnings.append(f"{words}: {error}")
@@ -214,7 +224,7 @@ def sew_and_wear(task: Task, found: Recovered, pattern: Pattern, say: Say) -> Se
     if lost := lost_parts(draped.rest.nodes, draped.mesh.faces, wearer.shaped.joints_template, parts):
         words = f"Sewn anew in the T-pose, {lost_words(lost)}"
         task.warnings.append(f"{words}: the garment cache is not worn as the target is.")
-    worn = _worn_elsewhere(task, found, pattern, draped, parts, say)
+    worn = _worn_elsewhere(task, recovered, pattern, draped, parts, say)
     distance = surface_distance(draped.surface, task.surface, known=task.known)
     say(f"sewn      {distance.mean_mm:.2f} mm from the target on average")
     # In the cache the garment of a body of another shape is moved to the standard one.
@@ -224,7 +234,7 @@ def sew_and_wear(task: Task, found: Recovered, pattern: Pattern, say: Say) -> Se
 
 
 def _worn_elsewhere(
-    task: Task, found: Recovered, pattern: Pattern, draped: Draped, parts: list[str], say: Say
+    task: Task, recovered: Recovered, pattern: Pattern, draped: Draped, parts: list[str], say: Say
 ) -> list[WornElsewhere]:
     """The garment on other bodies and in other poses, where these are asked for and time is left."""
     job, wearer = task.job, task.wearer
@@ -235,7 +245,7 @@ def _worn_elsewhere(
         task.warnings.append(words)
         return []
     worn = []
-    cloth = found.fitted.cloth
+    cloth = recovered.fitted.cloth
     for place in drape_elsewhere(pattern, draped, wearer.shaped, wearer.standard, job.search.drape, parts, cloth=cloth):
         say(f"worn      {place.what}: {place.refusal or describe_worn(place)}")
         worn.append(place)
@@ -243,7 +253,7 @@ def _worn_elsewhere(
 
 
 def describe_worn(place: WornElsewhere) -> str:
-    """A phrase on how the garment lies there."""
+    """Returns a phrase on how the garment lies in ``place``, where it was not refused."""
     figures = place.figures
     end = "at rest" if figures["converged"] else f"not at rest ({figures['force_left_n']:.1e} N left)"
     lost = f"; {lost_words(place.lost)}" if place.lost else ""

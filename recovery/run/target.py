@@ -1,9 +1,9 @@
-"""A target on its wearer: in metres on the body it was draped on, its openings told from holes; or refused.
+"""Puts a target on its wearer, in metres on the body it was draped on, with openings told from holes; or refuses it.
 
-The wearer is a named body, a file in SMPL's schema, a surface, or a body fitted inside the garment.
-How a garment that came without a body stands in its file its openings tell. The longest one, a hem or a waist, lies
-below or above the middle of the others. The two that lie farthest apart across that axis are cuffs or legs, so their
-line goes from side to side. To which of both sides a wearer looks the body tells that is fitted inside.
+The wearer is a named body, a file in SMPL's schema, a surface, or a body fitted inside the garment. Where a garment
+came without a body, its openings tell how it stands in its file. The longest one, a hem or a waist, lies below or above
+the middle of the others. The two that lie farthest apart across that axis are cuffs or legs, so their line goes from
+side to side. The body that is fitted inside tells to which of both sides the wearer looks.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ from recovery import progress
 from recovery.scan.holes import close_holes
 from recovery.sim.skin_contact import SkinContact, check_closed
 
-# By which the body fits worse the other way: less is told as a doubt, and less than KEPT does not turn the garment. Of
-# 14 garments the right way fits better by 1.26 to 7.8, one by 0.96.
+# Ratios of the cost of the body that looks the other way: below UNSURE the report says that front and back are not
+# plain, and below KEPT the garment is not turned. Of 14 garments the right way fits better by 1.26 to 7.8, one by 0.96.
 KEPT, UNSURE = 1.1, 1.1
 Front = Literal["auto", "kept", "turned"]
 CUFF_SHARE = 0.12  # of the longest opening: cuffs have a fifth of a hem, and holes that were not closed less
@@ -69,10 +69,12 @@ OPENINGS = {
 
 @dataclass(frozen=True, eq=False)
 class TargetWearer:
-    """The body ``standard`` in the shape ``betas`` and in ``pose`` (24, 3), None for the T-pose.
+    """The wearer of a target: the body ``standard`` in the shape ``betas`` (S,) and in ``pose`` [rad] (24, 3), None for
+    the T-pose.
 
-    ``trans`` [m] (3,) is added to everything in the target's frame; ``residual_mm`` is the mean distance of a fitted
-    body from the surface that it was fitted to.
+    ``trans`` [m] (3,) moves the posed body into the frame of the target. ``source`` says in words where the body is
+    from; ``residual_mm`` is the mean distance of a fitted body from the surface that it was fitted to, 0 for a body
+    that was given.
     """
 
     standard: BodyModel
@@ -84,19 +86,19 @@ class TargetWearer:
 
     @cached_property
     def shaped(self) -> BodyModel:
-        """The body with its shape in the template."""
+        """The body ``standard`` with the shape ``betas`` in its template."""
         return shape_body(self.standard, self.betas)
 
     @property
     def skin(self) -> Avatar:
-        """Its surface in its pose, in the target's frame."""
+        """The surface of the body in its shape and pose, [m] in the target's frame."""
         pose = np.zeros((JOINT_COUNT, 3)) if self.pose is None else self.pose
         vertices = self.shaped.posed_vertices(pose[None])[0] + self.trans
         return Avatar(vertices, self.shaped.faces, self.residual_mm, self.source)
 
 
 def shape_body(body: BodyModel, betas: np.ndarray) -> BodyModel:
-    """Returns ``body`` whose template has the shape ``betas``; itself where they are zero."""
+    """Returns ``body`` whose template has the shape ``betas`` (S,); ``body`` itself where they are zero."""
     betas = body.check_betas(betas)
     if not betas.any():
         return body
@@ -104,9 +106,11 @@ def shape_body(body: BodyModel, betas: np.ndarray) -> BodyModel:
 
 
 def read_target_wearer(source: str, *, betas: np.ndarray | None = None, pose: np.ndarray | None = None) -> TargetWearer:
-    """The wearer at ``source``: a shipped name, a file .npz or .pkl, or a surface that the shipped body is fitted to.
+    """Returns the wearer at ``source``: a shipped body's name, a body's file .npz or .pkl, or the file of a surface
+    that the shipped body is fitted to.
 
-    ``betas`` and ``pose`` (24, 3) are those of a body in SMPL's schema; a surface brings its own.
+    ``betas`` (S,) and ``pose`` [rad] (24, 3) are those of a body in SMPL's schema. Raises ``BodyError`` where a surface
+    comes with these, ``MeshError`` for an open surface.
     """
     path = Path(source)
     if path.suffix.lower() in MESH_SUFFIXES:
@@ -125,14 +129,14 @@ def read_target_wearer(source: str, *, betas: np.ndarray | None = None, pose: np
 
 
 def fit_wearer(path: Path, body: BodyModel) -> TargetWearer:
-    """The shipped body fitted to the closed surface in ``path``."""
+    """Returns ``body`` fitted to the closed surface in the file at ``path``. Raises ``MeshError`` for an open one."""
     mesh = weld(read_mesh(path, vertex_limit=AVATAR_VERTEX_LIMIT))
     check_closed(mesh.vertices, mesh.faces, f"body {path.name}")
     scale, vertices = body_units(mesh.vertices, name=path.name)
-    found = fit_body(vertices, mesh.faces, body, name=path.name)
+    fit = fit_body(vertices, mesh.faces, body, name=path.name)
     unit = "" if scale == 1.0 else f", scaled by {scale:g}"
-    source = f"body {body.name} fitted to {path.name}{unit}, {found.residual_mm:.1f} mm from it on average"
-    return TargetWearer(body, found.betas, found.pose, found.trans, source, found.residual_mm)
+    source = f"body {body.name} fitted to {path.name}{unit}, {fit.residual_mm:.1f} mm from it on average"
+    return TargetWearer(body, fit.betas, fit.pose, fit.trans, source, fit.residual_mm)
 
 
 def inside_wearer(
@@ -140,9 +144,9 @@ def inside_wearer(
 ) -> tuple[GarmentMesh, TargetWearer]:
     """Returns ``mesh`` in metres, y up, and the shipped body that fits inside it, looking along +z.
 
-    The openings tell the axis ``up`` and turn the limbs to the sides, unit and body are found by how cloth lies on
-    skin. With ``front`` "auto" the body is fitted looking both ways, but in a skirt; "kept" is along +z as in the file,
-    "turned" the other way. Raises ``MeshError`` where no body fits.
+    The openings tell the axis ``up`` and turn the limbs to the sides; unit and body are found by how cloth lies on
+    skin. With ``front`` "auto" the body is fitted looking both ways along z, except in a skirt; "kept" keeps +z as in
+    the file, "turned" takes the other way. Raises ``MeshError`` where no body fits.
     """
     if (up_axis(mesh) if up == "auto" else up) == "z":
         turned = np.stack([mesh.vertices[:, 0], mesh.vertices[:, 2], -mesh.vertices[:, 1]], axis=1)
@@ -150,16 +154,16 @@ def inside_wearer(
     mesh = facing(mesh)
     two_ended = len(long_contours(mesh)) < 3  # a skirt has no front that its body tells
     ahead = {"auto": "+z" if two_ended else None, "kept": "+z", "turned": "-z"}[front]
-    told = ReadingHints(None if unit == "auto" else (unit, UNITS_M[unit]), "+y", ahead)
+    known = ReadingHints(None if unit == "auto" else (unit, UNITS_M[unit]), "+y", ahead)
     with progress.stage("a body is fitted inside"):
-        fits = _fitted_inside(mesh, load_body(), told)
-    fit = min(fits, key=lambda one: one.cost_m2 * (KEPT if one.reading.front == "-z" else 1.0))
+        fits = _fitted_inside(mesh, load_body(), known)
+    fit = min(fits, key=lambda inside: inside.cost_m2 * (KEPT if inside.reading.front == "-z" else 1.0))
     reading, notes = fit.reading, []
     if reading.unit != "m":
         notes.append(f"converted from {reading.unit if reading.unit in UNITS_M else f'{reading.scale:.3g} m'} to m")
     if about := reading.front == "-z":
         notes.append("turned by 180 degrees to look along +z")
-    if any(one is not fit and one.cost_m2 < UNSURE * fit.cost_m2 for one in fits):
+    if any(other is not fit and other.cost_m2 < UNSURE * fit.cost_m2 for other in fits):
         words = (
             f"front and back are not plain: pass --front {'kept' if about else 'turned'} if it is worn back to front"
         )
@@ -183,24 +187,26 @@ class _Inside(NamedTuple):
     cost_m2: float
 
 
-def _fitted_inside(mesh: GarmentMesh, body: BodyModel, told: ReadingHints) -> list[_Inside]:
+def _fitted_inside(mesh: GarmentMesh, body: BodyModel, known: ReadingHints) -> list[_Inside]:
     """The body inside ``mesh``, for each way along z that it may look. Raises ``MeshError`` where none fits.
 
     Where garments are looked for on a person cloth that hangs away pulls little. Here the body goes on to where the
     cloth is, since a pattern makes up for what it lacks.
     """
-    found = find_wearers(mesh, body, told)
-    fitting = [one for one in found if not one.fault and one.reading.front in ("+z", "-z")]
+    wearers = find_wearers(mesh, body, known)
+    fitting = [wearer for wearer in wearers if not wearer.fault and wearer.reading.front in ("+z", "-z")]
     if not fitting:
         raise MeshError(
             "body in the target",
             expected="cloth that a human body fits in, in some unit",
-            got=found[0].fault if found else "no unit makes that a garment",
+            got=wearers[0].fault if wearers else "no unit makes that a garment",
             cure="Say the unit (--unit) and the up axis (--up), or give the body (--body FILE).",
         )
     cloth, fits = SearchedCloth(mesh), []
-    for reading in dict.fromkeys(one.reading for one in fitting if one.reading.unit == fitting[0].reading.unit):
-        first = next(one for one in fitting if one.reading == reading)
+    for reading in dict.fromkeys(
+        wearer.reading for wearer in fitting if wearer.reading.unit == fitting[0].reading.unit
+    ):
+        first = next(wearer for wearer in fitting if wearer.reading == reading)
         points, normals = reading.apply(cloth.points), cloth.normals @ reading.turn.T
         ends = cloth.contours(reading)
         fits.append(_Inside(body, reading, *fit_from(body, points, normals, ends, first.parameters, STEPS)))
@@ -211,22 +217,23 @@ def _fitted_inside(mesh: GarmentMesh, body: BodyModel, told: ReadingHints) -> li
 
 
 def long_contours(mesh: GarmentMesh) -> list[Contour]:
-    """The open contours of ``mesh`` that are as long as openings, the longest first."""
-    found = sorted(open_contours(mesh.vertices, mesh.faces), key=lambda one: -one.length_m)
-    return [one for one in found if one.length_m > CUFF_SHARE * found[0].length_m]
+    """Returns the open contours of ``mesh`` that are longer than ``CUFF_SHARE`` of the longest, the longest first."""
+    contours = sorted(open_contours(mesh.vertices, mesh.faces), key=lambda contour: -contour.length_m)
+    return [contour for contour in contours if contour.length_m > CUFF_SHARE * contours[0].length_m]
 
 
 def up_axis(mesh: GarmentMesh) -> str:
-    """The axis, "y" or "z", along which the longest opening of ``mesh`` lies from the middle of the others."""
+    """Returns the axis, "y" or "z", along which the longest opening of ``mesh`` lies farther from the middle of the
+    others; "y" where there are none."""
     first, *others = long_contours(mesh)
     if not others:
         return "y"
-    way = np.abs(first.centre - np.mean([one.centre for one in others], axis=0))
+    way = np.abs(first.centre - np.mean([other.centre for other in others], axis=0))
     return "z" if way[2] > way[1] else "y"
 
 
 def facing(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh``, y up, turned about y by at most a right angle until its limbs lie side by side.
+    """Returns ``mesh``, y up, turned about y by at most a right angle until its limbs lie side by side along x.
 
     It is returned as it is where they nearly do, where it has two openings, and where its limbs lie together.
     """
@@ -243,9 +250,8 @@ def facing(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def turn_about(mesh: GarmentMesh, turn_rad: float) -> GarmentMesh:
-    """Returns ``mesh`` turned by ``turn_rad`` about a vertical line (along y) through the mean of its vertices. A note
-    on the mesh says so.
-    """
+    """Returns ``mesh`` turned by ``turn_rad`` [rad] about a vertical line (along y) through the mean of its vertices,
+    with a note on that."""
     middle = mesh.vertices.mean(axis=0)
     c, s = np.cos(turn_rad), np.sin(turn_rad)
     vertices = (mesh.vertices - middle) @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]).T + middle
@@ -253,7 +259,10 @@ def turn_about(mesh: GarmentMesh, turn_rad: float) -> GarmentMesh:
 
 
 def placed_target(mesh: GarmentMesh, skin: Avatar, *, unit: Unit = "auto", up: Up = "auto") -> GarmentMesh:
-    """Returns ``mesh`` in metres, y up, on ``skin``, with normals outward; refuses one that does not lie on it."""
+    """Returns ``mesh`` in metres, y up, on ``skin``, with normals outward. ``unit`` and ``up`` are those of ``mesh``.
+
+    Raises ``InputError`` for a mesh that does not lie on the skin.
+    """
     if not len(mesh.uv):
         mesh = replace(mesh, uv_faces=np.zeros((0, 3), dtype=np.int64))
     mesh = orient_outward(place_on_avatar(mesh, skin, unit=unit, up=up), skin)
@@ -263,7 +272,7 @@ def placed_target(mesh: GarmentMesh, skin: Avatar, *, unit: Unit = "auto", up: U
 
 
 def check_near(mesh: GarmentMesh, skin: Avatar) -> None:
-    """Refuses a target that hangs in the air beside the body, or that goes through it."""
+    """Raises ``InputError`` for a target that hangs in the air beside the body, or that goes through it."""
     step = max(1, len(mesh.vertices) // 2000)
     distance = closest.signed_distance(mesh.vertices[::step], skin.vertices, skin.faces)
     cure = "Move the target onto the body it was draped on, name its pose (--pose), or fit a body in it (--body fit)."
@@ -286,64 +295,68 @@ def check_near(mesh: GarmentMesh, skin: Avatar) -> None:
 def close_but_openings(
     mesh: GarmentMesh, joints: np.ndarray, wanted: dict[str, int] | None = None
 ) -> tuple[GarmentMesh, dict[str, int]]:
-    """Returns ``mesh`` with all borders closed that are no openings, and how many openings each part of the body has.
+    """Returns ``mesh`` with all borders closed that are no openings, and how many openings each part of the body has,
+    by its name.
 
     ``joints`` [m] (24, 3) are the body's. An opening is a border that bones pass through, or a folded cuff beside them.
-    If a part has more than ``wanted``, those that lie in the cloth are taken for holes: the body's fit may have put a
-    leg behind a hole.
+    If a part has more of them than ``wanted``, those that lie in the cloth are taken for holes: the body's fit may have
+    put a leg behind a hole.
     """
     chains = bone_chains(joints)
-    loops = {one.loop.tobytes(): one for one in borders(mesh)}
+    loops = {border.loop.tobytes(): border for border in borders(mesh)}
     openings: dict[str, list[Loop]] = {}
     for contour in open_contours(mesh.vertices, mesh.faces):
-        one, passed = loops[contour.loop.tobytes()], part_round(contour, chains)
+        border, passed = loops[contour.loop.tobytes()], part_round(contour, chains)
         part = passed or place_of(contour, chains).part
-        if part is not None and (passed or (plainly_opening(one) and not plainly_hole(one, mesh))):
-            openings.setdefault(part, []).append(one)
-    kept = set()
-    for part, found in openings.items():
-        found.sort(key=lambda one: one.flatness)
-        enough = len(found) if wanted is None else wanted.get(part, 0)
-        kept |= {one.loop.tobytes() for n, one in enumerate(found) if n < enough or plainly_opening(one)}
-    done = close_holes(mesh, lambda one: one.loop.tobytes() not in kept, lambda one: True)
+        if part is not None and (passed or (plainly_opening(border) and not plainly_hole(border, mesh))):
+            openings.setdefault(part, []).append(border)
+    open_loops = set()
+    for part, around in openings.items():
+        around.sort(key=lambda border: border.flatness)
+        enough = len(around) if wanted is None else wanted.get(part, 0)
+        open_loops |= {
+            border.loop.tobytes() for n, border in enumerate(around) if n < enough or plainly_opening(border)
+        }
+    closing = close_holes(mesh, lambda border: border.loop.tobytes() not in open_loops, lambda border: True)
     there: dict[str, int] = {}
-    for contour in open_contours(done.mesh.vertices, done.mesh.faces):
+    for contour in open_contours(closing.mesh.vertices, closing.mesh.faces):
         if (part := place_of(contour, chains).part) is not None:
             there[part] = there.get(part, 0) + 1
-    return (mesh if done.mesh is mesh else done.mesh.noted(*done.words(len(mesh.faces)))), there
+    return (mesh if closing.mesh is mesh else closing.mesh.noted(*closing.words(len(mesh.faces)))), there
 
 
-def check_base(base: str, found: dict[str, int]) -> None:
-    """Refuses (``InputError``) a target whose openings, ``found`` by part of the body, are not those of the base called
-    ``base``. A base that is no name of ours passes."""
+def check_base(base: str, counts: dict[str, int]) -> None:
+    """Raises ``InputError`` for a target whose numbers of openings, ``counts`` by part of the body, are not those of
+    the base called ``base``. A base of a user's file passes."""
     wanted = OPENINGS.get(base)
     if wanted is None:
         return
-    missing = {part for part, count in wanted.items() if found.get(part, 0) < count}
-    foreign = set(found) - set(wanted)
+    missing = {part for part, count in wanted.items() if counts.get(part, 0) < count}
+    foreign = set(counts) - set(wanted)
     if missing or foreign:
-        fitting = [name for name, kind in OPENINGS.items() if kind == found]
+        fitting = [name for name, kind in OPENINGS.items() if kind == counts]
         raise InputError(
             "target",
             expected=f"the openings of a {base}: {describe_openings(wanted)}",
-            got=describe_openings(found) or "no opening that the body goes through",
+            got=describe_openings(counts) or "no opening that the body goes through",
             cure=f"Take --base {' or '.join(fitting)}."
             if fitting
             else "Take a base of the target's kind, and open what is shut.",
         )
 
 
-def describe_openings(found: dict[str, int]) -> str:
-    """A phrase such as "2 round the trunk, 1 round the left arm"."""
-    return ", ".join(f"{count} round the {part.replace('_', ' ')}" for part, count in sorted(found.items()))
+def describe_openings(counts: dict[str, int]) -> str:
+    """Returns a phrase such as "2 round the trunk, 1 round the left arm" on the numbers of openings, ``counts`` by part
+    of the body."""
+    return ", ".join(f"{count} round the {part.replace('_', ' ')}" for part, count in sorted(counts.items()))
 
 
 def off_skin(mesh: GarmentMesh, skin: Avatar, known: np.ndarray) -> float:
-    """Returns how much farther [m] off the skin the cloth of ``mesh`` rests than ours, since it has a thickness, or its
-    simulator kept a gap. 0 if that is less than a millimetre.
+    """Returns how much farther [m] off the skin the cloth of ``mesh`` rests than ours, at most ``MOST_OFF_M``; 0 if
+    that is less than a millimetre.
 
-    It is the distance below which the share ``LYING_SHARE`` of the area of the ``known`` faces (F,) lies, less the gap
-    of our contact.
+    Cloth has a thickness, or its simulator kept a gap. The result is the distance below which the share ``LYING_SHARE``
+    of the area of the ``known`` faces (F,), bool, lies, less the gap of our contact.
     """
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     distance = closest.signed_distance(middles, skin.vertices, skin.faces)

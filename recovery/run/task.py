@@ -43,11 +43,12 @@ MINUTES = 20.0
 
 @dataclass(frozen=True, eq=False)
 class RecoveryJob:
-    """The request: ``body`` is a name, a file, or ``fit``; ``base`` is a base pattern's name or a JSON file, None
-    for the one that the target tells.
+    """The request of a recovery: the file ``target``, the folder ``out``, and the options of the command line.
 
-    ``settings`` of a base are texts NAME=NUMBER, lengths in metres. After ``minutes`` the best so far is written. The
-    pattern is written in ``sizes`` beside M, which fits the body, and with the lines of ``style``.
+    ``body`` is a name, a file, or "fit" for a body to be fitted inside; ``base`` is a base pattern's name or a JSON
+    file, None for the one that the target's openings choose. ``settings`` of a base are texts NAME=NUMBER, lengths in
+    metres. After ``minutes`` the best so far is written. The pattern is written in ``sizes`` beside M, which fits the
+    body, and with the lines of ``style``. ``retarget`` drapes it on other bodies, ``garment`` writes the garment cache.
     """
 
     target: Path
@@ -72,9 +73,11 @@ class RecoveryJob:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """The request as far as it is read: ``mesh`` [m] lies in the frame of the ``wearer``'s body, without
-    ``wearer.trans``; ``base`` is drafted near it, ``cut`` says how. Faces that are not ``known`` (F,) close holes.
-    ``warnings`` are sentences, to which every step adds its own.
+    """A request that has been read: the target ``mesh`` [m] in the frame of the ``wearer``'s body, that is without
+    ``wearer.trans``, the ``base`` drafted near it, and the ``cut`` of that.
+
+    Faces that are not ``known`` (F,), bool, close holes; None if all are. ``warnings`` are sentences, to which every
+    step adds its own.
     """
 
     job: RecoveryJob
@@ -93,7 +96,8 @@ class Task:
 
 
 def read_base(source: str, wearer: TargetWearer, settings: Sequence[str] = ()) -> Pattern:
-    """The base called ``source`` drafted with ``settings`` for ``wearer``, or the pattern in a JSON file."""
+    """Returns the base called ``source`` drafted with ``settings`` for ``wearer``, or the pattern in the JSON file
+    ``source``. Raises ``InputError`` for neither, and for settings of a file."""
     if source in BASES:
         return base_pattern(source, measure_body(wearer.shaped), settings)
     path = Path(source)
@@ -112,8 +116,11 @@ def read_base(source: str, wearer: TargetWearer, settings: Sequence[str] = ()) -
 
 
 def prepare(job: RecoveryJob) -> Task:
-    """Reads and checks all that ``job`` needs, and returns it as a task. The drape keeps cloth as far off the skin as
-    the target's lies. Raises ``ScanFault`` with its place in the file, and ``InputError``."""
+    """Returns the task of ``job``: all that it needs, read and checked.
+
+    The drape's options then keep cloth as far off the skin as the target's lies. Raises ``ScanFault`` with its place in
+    the file, and ``InputError``.
+    """
     mesh = read_target(job.target, label=job.label)
     shown = pieces(mesh)
     mesh, wearer = _on_wearer(job, mesh)
@@ -156,7 +163,7 @@ def _on_wearer(job: RecoveryJob, mesh: GarmentMesh) -> tuple[GarmentMesh, Target
 def _notes(mesh: GarmentMesh, wearer: TargetWearer, cut: Cut, more_m: float) -> list[str]:
     """Sentences on what was made of the target so far."""
     notes = [f"On reading: {note}." for note in mesh.notes]
-    if cut.told:
+    if cut.by_openings:
         notes.append(f"The base was chosen by the target's openings: {cut.base}.")
     if wearer.residual_mm > 0.0:
         notes.append(f"The wearer is {wearer.source}. What it lacks in shape, the pattern makes up for.")

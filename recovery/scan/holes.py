@@ -21,7 +21,7 @@ from drape.garment.files.mesh import GarmentMesh
 from drape.geometry import mesh_graphs, meshes
 from recovery import progress
 
-NOISE = 0.2  # of an edge: median second differences beyond it are noise; scans without any have up to 0.17
+NOISE = 0.2  # a mesh of more ``roughness`` than this is noisy; scans without noise have up to 0.17
 SHRINK, GROW, SMOOTHINGS = 0.5, -0.53, 8  # of Taubin's smoothing, which keeps what is larger than a few edges
 CLOSED = "closed hole"  # the material of faces that close a hole
 LARGEST_BEND = 0.25  # of a rim's radius that a fair surface may rise above the flattest one
@@ -36,7 +36,8 @@ LARGEST_LOOP = 4000  # vertices of a border that are searched for bites
 
 
 class Closing(NamedTuple):
-    """A mesh whose holes are closed; ``holes`` and ``bites`` say how many were, ``largest`` is the longest rim."""
+    """A ``mesh`` whose holes and bites are closed, the numbers of ``holes`` and ``bites`` that were, and the length
+    ``largest`` of the longest rim among them, in the mesh's unit."""
 
     mesh: GarmentMesh
     holes: int
@@ -44,7 +45,8 @@ class Closing(NamedTuple):
     largest: float
 
     def words(self, face_count: int) -> list[str]:
-        """A sentence on what was closed, where the mesh had ``face_count`` faces; none if nothing was."""
+        """Returns a list with a sentence on what was closed, or an empty list if nothing was. Faces of ``mesh`` from
+        ``face_count`` on are those that close something."""
         if not self.holes + self.bites:
             return []
         area = meshes.face_areas(self.mesh.vertices, self.mesh.faces)
@@ -57,7 +59,7 @@ class Closing(NamedTuple):
 
 
 def known_faces(mesh: GarmentMesh) -> np.ndarray:
-    """The faces (F,) that the file had: True, and False for those that close a hole."""
+    """Returns which faces were in the file, bool (F,): False for those that close a hole."""
     if CLOSED not in mesh.material_names:
         return np.ones(len(mesh.faces), dtype=bool)
     return mesh.face_material != mesh.material_names.index(CLOSED)
@@ -66,16 +68,15 @@ def known_faces(mesh: GarmentMesh) -> np.ndarray:
 def close_holes(
     mesh: GarmentMesh, is_hole: Callable[[Loop], bool], is_opening: Callable[[Loop], bool] = plainly_opening
 ) -> Closing:
-    """Returns ``mesh`` with the bites of its openings and those borders that are holes closed. Faces agree in
-    orientation.
+    """Returns ``mesh`` with faces that close its holes and bites, and their counts.
+
+    Holes are the borders that ``is_hole``; bites are looked for in the other ones that ``is_opening``. The faces of
+    ``mesh`` agree in orientation.
     """
     loops = borders(mesh)
-    holes = [one for one in loops if is_hole(one)]
-    rims, largest = [one.loop for one in holes], max((one.length for one in holes), default=0.0)
-    bites = []
-    for one in loops:
-        if is_opening(one) and not is_hole(one):
-            bites += bites_of(mesh, one)
+    holes = [border for border in loops if is_hole(border)]
+    rims, largest = [border.loop for border in holes], max((border.length for border in holes), default=0.0)
+    bites = [bite for border in loops if is_opening(border) and not is_hole(border) for bite in bites_of(mesh, border)]
     patched = mesh
     for number, rim in enumerate(rims):
         progress.tick(f"hole {number + 1} of {len(rims)} closed")
@@ -94,7 +95,7 @@ def close_holes(
 
 def unroll_border(mesh: GarmentMesh, loop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Returns the border ``loop`` (n,) unrolled into the plane, twice round: points (2 n + 1, 2), and the lengths (2 n
-    + 1,) along the line to each.
+    + 1,) along the line to each, in the mesh's unit.
 
     The line turns as the border turns inside the cloth, which lies on its left. It is smoothed a little.
     """
@@ -117,19 +118,23 @@ def _cloth_angles(mesh: GarmentMesh) -> np.ndarray:
     return np.bincount(mesh.faces.reshape(-1), angle.reshape(-1), len(mesh.vertices))
 
 
-def bites_of(mesh: GarmentMesh, one: Loop) -> list[np.ndarray]:
-    """The bites of a border: parts (k,) of its loop, from one end of the mouth to the other; none overlap."""
-    count = len(one.loop)
+def bites_of(mesh: GarmentMesh, border: Loop) -> list[np.ndarray]:
+    """Returns the bites of a ``border``, pockets with a narrow mouth: the vertices (k,) of each, along the border from
+    one end of the mouth to the other.
+
+    None overlap. There are none in a border of fewer than 8 vertices or more than ``LARGEST_LOOP``.
+    """
+    count = len(border.loop)
     if not 8 <= count <= LARGEST_LOOP:
         return []
     vertices = mesh.vertices.copy()
-    vertices[one.loop] = points = _calmed_line(vertices[one.loop])
-    flat, run = unroll_border(replace(mesh, vertices=vertices), one.loop)
+    vertices[border.loop] = points = _calmed_line(vertices[border.loop])
+    flat, run = unroll_border(replace(mesh, vertices=vertices), border.loop)
     candidates = []
     lip = _lips(flat, count)
     for start in np.flatnonzero(lip).tolist():
         progress.tick("bites of a border are looked for")
-        last = int(np.searchsorted(run, run[start] + POCKET_SHARE * one.length))
+        last = int(np.searchsorted(run, run[start] + POCKET_SHARE * border.length))
         ends = np.arange(start + 2, min(last, start + count))
         if not len(ends):
             continue
@@ -137,14 +142,14 @@ def bites_of(mesh: GarmentMesh, one: Loop) -> list[np.ndarray]:
         # Noise bends the unrolled line; the straight way in space is never longer than that in the cloth.
         straight = np.linalg.norm(points[ends % count] - points[start], axis=1)
         mouth, line = np.maximum(np.linalg.norm(way, axis=1), straight), run[ends] - run[start]
-        share = mouth / one.length
+        share = mouth / border.length
         half = np.arcsin(np.minimum(np.pi * share, 1.0))
         round_excess = half / np.maximum(np.sin(half), 1e-9) - 1.0
         good = (share < MOUTH_SHARE) & (line > (1.0 + DEEPER + ROUNDER * round_excess) * mouth) & lip[ends % count]
         if good.any():
             gain = np.where(good, line - (1.0 + NARROWER) * mouth, -np.inf)
             candidates.append((float(gain.max()), start, int(ends[gain.argmax()])))
-    return _disjoint(candidates, flat, one)
+    return _disjoint(candidates, flat, border)
 
 
 def _calmed_line(points: np.ndarray) -> np.ndarray:
@@ -171,20 +176,23 @@ def _lips(flat: np.ndarray, count: int) -> np.ndarray:
     return np.any([np.roll(lip, step) for step in range(-LIP_VERTICES, LIP_VERTICES + 1)], axis=0)
 
 
-def _disjoint(candidates: list[tuple[float, int, int]], flat: np.ndarray, one: Loop) -> list[np.ndarray]:
-    """The pockets that save most length first; each lies on the side of the cloth, and none over another."""
-    used = np.zeros(len(one.loop), dtype=bool)
+def _disjoint(candidates: list[tuple[float, int, int]], flat: np.ndarray, border: Loop) -> list[np.ndarray]:
+    """The bites (k,) among ``candidates`` (length saved, start, end), the one that saves most first.
+
+    All lie on the side of the cloth, and none over another.
+    """
+    used = np.zeros(len(border.loop), dtype=bool)
     rings = []
     for _, start, end in sorted(candidates, reverse=True):
-        inner = np.arange(start, end) % len(one.loop)
+        inner = np.arange(start, end) % len(border.loop)
         if used[inner].any():
             continue
         way, off = flat[end] - flat[start], flat[start + 1 : end] - flat[start]
         left = way[0] * off[:, 1] - way[1] * off[:, 0]
-        if (left < -1e-3 * one.length * np.linalg.norm(way)).any():
+        if (left < -1e-3 * border.length * np.linalg.norm(way)).any():
             continue  # the border goes out of the mouth: a tongue, no bite
         used[inner] = True
-        rings.append(one.loop[np.arange(start, end + 1) % len(one.loop)])
+        rings.append(border.loop[np.arange(start, end + 1) % len(border.loop)])
     return rings
 
 
@@ -249,9 +257,10 @@ def _with_faces(mesh: GarmentMesh, vertices: np.ndarray, faces: np.ndarray) -> G
 
 
 def fair_patches(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` with its patches as smooth as the cloth about them lets them be; mouths of bites stay.
+    """Returns ``mesh`` whose patches, the faces that close holes, are as smooth as the cloth about them lets them be.
 
-    Least bending (squared umbrella Laplacian); where noise makes that bulge, least area instead.
+    Vertices move to the least bending (squared umbrella Laplacian); where noise makes that bulge, to the least area.
+    Borders stay, and with them the mouths of bites.
     """
     known = known_faces(mesh)
     free = np.zeros(len(mesh.vertices), dtype=bool)
@@ -278,6 +287,6 @@ def _solved(matrix: scipy.sparse.csc_matrix, vertices: np.ndarray, free: np.ndar
     """``vertices`` with the ``free`` ones where ``matrix`` times them is zero in their rows."""
     rows = matrix[free]
     right = -rows[:, ~free] @ vertices[~free]
-    found = vertices.copy()
-    found[free] = spsolve(scipy.sparse.csc_matrix(rows[:, free]), right).reshape(-1, 3)
-    return found
+    moved = vertices.copy()
+    moved[free] = spsolve(scipy.sparse.csc_matrix(rows[:, free]), right).reshape(-1, 3)
+    return moved

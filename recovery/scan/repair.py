@@ -49,7 +49,8 @@ ROUNDS = 2  # of Lloyd's: seeds go to the middles of their cells
 
 
 def read_target(path: Path, *, label: str | None = None) -> GarmentMesh:
-    """The garment in ``path``: one sheet of agreeing faces whose plain holes are closed, in the file's coordinates.
+    """Returns the garment in the file at ``path``, in the file's coordinates: one connected sheet whose faces agree in
+    orientation and whose plain holes are closed.
 
     ``label`` keeps the faces of one material. Raises ``ScanFault`` with the place for two garments and for one-sided
     cloth, ``MeshError`` for a solid without openings.
@@ -71,8 +72,10 @@ def read_target(path: Path, *, label: str | None = None) -> GarmentMesh:
 
 
 def mend_sheet(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` as one sheet: every edge has one face or two, neighbours agree, plain holes and bites are
-    closed.
+    """Returns ``mesh`` as one connected sheet: every edge has one face or two, neighbours agree in orientation, plain
+    holes and bites (``bites_of``) are closed.
+
+    Raises ``ScanFault`` or ``MeshError`` for what cannot be mended.
     """
     progress.tick("copies and flat faces")
     mesh = without_flat_faces(without_copies(weld(mesh)))
@@ -84,7 +87,7 @@ def mend_sheet(mesh: GarmentMesh) -> GarmentMesh:
         mesh = one_sheet(cut_branches(without_flat_faces(thin)))
     mesh = without_turned_hems(smooth_noise(orient_faces(mesh)))
     check_open(mesh, "a closed surface")
-    closing = close_holes(mesh, lambda one: plainly_hole(one, mesh))
+    closing = close_holes(mesh, lambda border: plainly_hole(border, mesh))
     check_open(closing.mesh, f"one that is closed once mended, with no border but holes ({closing.holes})")
     check_closed_round(closing.mesh)
     check_unworn(closing.mesh)
@@ -92,7 +95,8 @@ def mend_sheet(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def check_open(mesh: GarmentMesh, otherwise: str) -> None:
-    """Refuses a mesh without borders; the refusal says that it is ``otherwise``."""
+    """Raises ``MeshError`` for a mesh without borders; the refusal says that it is ``otherwise``, such as a closed
+    surface."""
     if not meshes.boundary_loops(mesh.faces):
         raise MeshError(
             "target",
@@ -103,7 +107,8 @@ def check_open(mesh: GarmentMesh, otherwise: str) -> None:
 
 
 def check_closed_round(mesh: GarmentMesh) -> None:
-    """Refuses a jacket whose front is open: its longest border goes round the hem and up to the neck."""
+    """Raises ``ScanFault`` for a jacket that is open in front: its longest border goes round the hem and up to the
+    neck."""
     points = mesh.vertices[borders(mesh)[0].loop]
     low, size = mesh.vertices.min(axis=0), np.ptp(mesh.vertices, axis=0)
     # y or z is up, the other one the depth, which every hem has.
@@ -121,7 +126,7 @@ def check_closed_round(mesh: GarmentMesh) -> None:
 
 
 def faces_of_label(mesh: GarmentMesh, label: str) -> GarmentMesh:
-    """The faces of ``mesh`` whose material is called ``label``."""
+    """Returns the faces of ``mesh`` whose material is called ``label``. Raises ``MeshError`` where there are none."""
     if label not in mesh.material_names:
         names = ", ".join(mesh.material_names)
         raise MeshError("--label", expected=f"one of {names}", got=label, cure="Name a material of the file.")
@@ -132,8 +137,8 @@ def faces_of_label(mesh: GarmentMesh, label: str) -> GarmentMesh:
 
 
 def one_sheet(mesh: GarmentMesh) -> GarmentMesh:
-    """The largest sheet of ``mesh``; refuses a second one that lies apart and is large."""
-    kept, rivals = main_sheet(mesh)
+    """Returns the largest connected sheet of ``mesh``. Raises ``ScanFault`` where a second large one lies apart."""
+    sheet, rivals = main_sheet(mesh)
     if rivals:
         labels = f" Materials: {', '.join(mesh.material_names)}." if len(mesh.material_names) > 1 else ""
         raise ScanFault(
@@ -142,13 +147,11 @@ def one_sheet(mesh: GarmentMesh) -> GarmentMesh:
             got=f"{len(rivals) + 1} pieces of cloth; another one is {in_box(rivals[0], mesh.vertices)}",
             cure=f"Save the garment alone, name its material (--label), or join what was torn.{labels}",
         ).at(mesh, np.array(rivals))
-    return kept
+    return sheet
 
 
 def orient_faces(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` with neighbours that agree in orientation, cut where a strip is twisted. Refuses a mesh that
-    cannot be cloth.
-    """
+    """Returns ``mesh`` with faces that agree in orientation, cut at twists. Raises ``ScanFault`` for many twists."""
     turned, cuts = agreeing(mesh)
     if len(cuts) > TWISTED_SHARE * len(mesh.faces):
         raise ScanFault(
@@ -167,44 +170,43 @@ def orient_faces(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def without_turned_hems(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh``, whose faces agree in orientation, cut off at the folds of hems that are turned in."""
+    """Returns ``mesh`` without hems that are turned in, cut off at their folds. Its faces agree in orientation."""
     normals = meshes.face_normals(mesh.vertices, mesh.faces)
     pairs = np.stack(meshes.edge_pairs(mesh.faces)[1:]) // 3
     pairs = pairs[:, (normals[pairs[0]] * normals[pairs[1]]).sum(axis=1) > SMOOTH]
-    strips = [_strip(mesh, one, normals, *pairs) for one in borders(mesh) if not plainly_opening(one)]
+    strips = [_strip(mesh, border, normals, *pairs) for border in borders(mesh) if not plainly_opening(border)]
     strips = [strip for strip in strips if strip.any()]
     if not strips:
         return mesh
-    kept = with_used_vertices(mesh.take_faces(~np.any(strips, axis=0)))
-    return kept.noted(f"cut off {len(strips)} hems that are turned in, at their folds")
+    bare = with_used_vertices(mesh.take_faces(~np.any(strips, axis=0)))
+    return bare.noted(f"cut off {len(strips)} hems that are turned in, at their folds")
 
 
-def _strip(mesh: GarmentMesh, one: Loop, normals: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The faces (F,) of the hem with the edge ``one``, True for them; none where it is not turned in.
+def _strip(mesh: GarmentMesh, edge: Loop, normals: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The faces (F,) of the hem with this ``edge``, True for them; none where it is not turned in.
 
     ``a`` and ``b`` (P,) are neighbours without a fold between them.
     """
-    across = np.abs(normals @ one.axis) > ACROSS
+    across = np.abs(normals @ edge.axis) > ACROSS
     on = across[a] & across[b]
     graph = scipy.sparse.coo_matrix((np.ones(on.sum()), (a[on], b[on])), shape=(len(normals),) * 2)
     piece = csgraph.connected_components(graph, directed=False)[1]
-    strip = across & np.isin(piece, piece[np.isin(mesh.faces, one.loop).any(axis=1) & across])
+    strip = across & np.isin(piece, piece[np.isin(mesh.faces, edge.loop).any(axis=1) & across])
     area = meshes.face_areas(mesh.vertices, mesh.faces)
     wide = WIDE_SHARE * np.sqrt(area.sum())
-    if np.isin(one.loop, mesh.faces[strip]).mean() < ALL_ROUND or area[strip].sum() > wide * (
-        one.length + np.pi * wide
-    ):
+    most = wide * (edge.length + np.pi * wide)
+    if np.isin(edge.loop, mesh.faces[strip]).mean() < ALL_ROUND or area[strip].sum() > most:
         return np.zeros_like(strip)
     # The fold is longer than the edge. What leaves no fold, or more than one, is no hem.
     folds = [loop for loop in borders(mesh.take_faces(~strip)) if np.isin(loop.loop, mesh.faces[strip]).all()]
-    return strip & (len(folds) == 1 and folds[0].length > one.length)
+    return strip & (len(folds) == 1 and folds[0].length > edge.length)
 
 
 # --- cloth and wearer in one surface ---------------------------------------------------------------------------------
 
 
 def check_unworn(mesh: GarmentMesh) -> None:
-    """Refuses (``ScanFault``) a scan in which cloth and wearer are one surface, as where it closes over a head or a
+    """Raises ``ScanFault`` for a scan in which cloth and wearer are one surface, as where it closes over a head or a
     hand.
 
     Such a surface has a bag: a part far from the openings with a narrow mouth. The place of the fault is the bag's tip.
@@ -234,14 +236,14 @@ def check_unworn(mesh: GarmentMesh) -> None:
 
 
 class ScanFault(MeshError):
-    """A refusal of a scan with a fault that cannot be repaired safely. ``points`` (P, 3) are its places on the
-    ``mesh``, in the mesh's coordinates."""
+    """The refusal of a scan with a fault that cannot be repaired safely. ``points`` (P, 3) are its places on the
+    ``mesh``, in the mesh's coordinates; there are none until ``at`` sets them."""
 
     mesh: GarmentMesh | None = None
     points: np.ndarray = np.zeros((0, 3))
 
     def at(self, mesh: GarmentMesh, points: np.ndarray) -> ScanFault:
-        """Returns the same fault with its place: ``points`` (P, 3) on ``mesh``."""
+        """Sets the place of the fault, ``points`` (P, 3) on ``mesh``, and returns the fault."""
         self.mesh, self.points = mesh, np.asarray(points, dtype=np.float64).reshape(-1, 3)
         return self
 
@@ -260,9 +262,8 @@ def in_box(point: np.ndarray, vertices: np.ndarray) -> str:
 
 
 def thin_mesh(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` with about ``FACE_GOAL`` faces if it has more than ``FACE_LIMIT``. Edges have at most two
-    faces.
-    """
+    """Returns ``mesh`` with about ``FACE_GOAL`` faces if it has more than ``FACE_LIMIT``; otherwise as it is. Edges of
+    ``mesh`` have at most two faces; those of what is returned may have more."""
     if len(mesh.faces) <= FACE_LIMIT:
         return mesh
     area = float(meshes.face_areas(mesh.vertices, mesh.faces).sum())
@@ -276,7 +277,8 @@ def thin_mesh(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def thin_to_spacing(mesh: GarmentMesh, spacing: float) -> GarmentMesh:
-    """Returns ``mesh`` with vertices about ``spacing`` apart."""
+    """Returns ``mesh`` with vertices about ``spacing`` apart, in its unit, without texture coordinates and
+    materials."""
     vertices, faces = mesh.vertices, mesh.faces
     graph = mesh_graphs.edge_graph(vertices, faces)
     loops = meshes.boundary_loops(faces)
@@ -302,8 +304,7 @@ def thin_to_spacing(mesh: GarmentMesh, spacing: float) -> GarmentMesh:
     has_edge = np.bincount(edge_label, minlength=len(seeds)) > 0
     points[has_edge] = edge[has_edge]
     cells = label[faces]
-    cells = cells[(cells[:, 0] != cells[:, 1]) & (cells[:, 1] != cells[:, 2]) & (cells[:, 2] != cells[:, 0])]
-    cells = _once(cells)
+    cells = _once(cells[(np.diff(np.sort(cells, axis=1), axis=1) > 0).all(axis=1)])
     thin = replace(
         mesh,
         vertices=points,
@@ -364,7 +365,8 @@ def _means(points: np.ndarray, weight: np.ndarray, label: np.ndarray, count: int
 
 
 def roughness(mesh: GarmentMesh) -> float:
-    """The median second difference of the vertices inside ``mesh``, over the mean length of its edges."""
+    """Returns how rough ``mesh`` is: the median size of the squared umbrella Laplacian at the vertices inside, over the
+    mean length of the edges. It is 0 for a mesh without vertices inside."""
     matrix = mesh_graphs.umbrella_laplacian(mesh.faces, len(mesh.vertices))
     inside = np.ones(len(mesh.vertices), dtype=bool)
     inside[meshes.boundary_vertices(mesh.faces)] = False
@@ -374,9 +376,8 @@ def roughness(mesh: GarmentMesh) -> float:
 
 
 def smooth_noise(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` without the noise of its vertices, if there is any: smoothed as by Taubin (1995); borders stay
-    lines.
-    """
+    """Returns ``mesh``, smoothed as by Taubin (1995) if its ``roughness`` is above ``NOISE``. Border vertices are
+    smoothed along their border only."""
     if roughness(mesh) <= NOISE:
         return mesh
     matrix = mesh_graphs.umbrella_laplacian(mesh.faces, len(mesh.vertices))

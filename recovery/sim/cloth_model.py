@@ -27,10 +27,10 @@ SMALLEST_PANEL_SHARE = 1e-9  # of the mean rest triangle
 
 
 class StaticAssembly:
-    """Maps for groups of elements: ``elements`` are arrays (corner, n) of node numbers.
+    """Constant sparse maps that sum what single elements have, gradients and Hessians, into that of all nodes.
 
-    The unknowns are numbered ``3 node + coordinate``. ``fixed`` (V,) marks nodes that do not move: their rows and
-    columns of an assembled matrix are those of the identity.
+    ``elements`` has an array (corner, n) of node numbers for each group of elements. The unknowns are numbered ``3 node
+    + coordinate``. ``fixed`` (V,), bool, marks nodes that do not move.
     """
 
     def __init__(self, elements: list[np.ndarray], node_count: int, *, fixed: np.ndarray) -> None:
@@ -61,17 +61,20 @@ class StaticAssembly:
         self._fixed_diagonal = (self._rows == columns) & ~self.free[columns]
 
     def gradient(self, stacks: list[np.ndarray]) -> np.ndarray:
-        """Sum (V, 3) of element gradients (corner, 3, n), one stack per group."""
+        """Returns the sum (V, 3) of element gradients; ``stacks`` has an array (corner, 3, n) for each group of
+        elements."""
         pairs = zip(self._gradient_maps, stacks, strict=True)
-        return sum((one @ stack.reshape(-1) for one, stack in pairs), np.zeros(self.size)).reshape(-1, 3)
+        return sum((ones @ stack.reshape(-1) for ones, stack in pairs), np.zeros(self.size)).reshape(-1, 3)
 
     def matrix(self, stacks: list[np.ndarray], *, blocks: np.ndarray, scale: float) -> scipy.sparse.csc_matrix:
-        """Returns ``scale`` times the sum of element Hessians (3 corner, 3 corner, n), plus ``blocks`` (V, 3, 3) of
-        nodes.
+        """Returns ``scale`` times the sum (3 V, 3 V) of element Hessians, plus ``blocks`` (V, 3, 3) of single nodes.
+
+        ``stacks`` has an array (3 corner, 3 corner, n) for each group of elements. Rows and columns of fixed nodes are
+        those of the identity.
         """
         data = np.zeros(self.entry_count)
-        for one, stack in zip(self._hessian_maps, stacks, strict=True):
-            data += one @ stack.reshape(-1)
+        for ones, stack in zip(self._hessian_maps, stacks, strict=True):
+            data += ones @ stack.reshape(-1)
         data *= scale
         data[self._block_places] += blocks
         data *= self._kept
@@ -86,7 +89,7 @@ def _ones(target: np.ndarray, count: int) -> scipy.sparse.csr_matrix:
 
 
 class SingularMatrix(InputError):
-    """A matrix without an inverse. Whether one that is nearly so has a factor is rounding's choice."""
+    """The refusal of a matrix without an inverse. Whether a nearly singular one is refused is rounding's choice."""
 
 
 class Factor:
@@ -96,16 +99,20 @@ class Factor:
         self._factor = factor
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """The solution (n,) for the right side (n,)."""
+        """Returns the solution x (n,) of A x = ``rhs`` (n,)."""
         return self._factor.solve(rhs)
 
     def negative_pivots(self) -> int:
-        """The number of negative eigenvalues (Sylvester's law)."""
+        """Returns the number of negative eigenvalues of A, by Sylvester's law of inertia."""
         return int((self._factor.U.diagonal() < 0.0).sum())
 
 
 def superlu(matrix: scipy.sparse.csc_matrix) -> Factor:
-    """SuperLU in its symmetric mode: ordering of A^T + A, pivots on the diagonal (half the time of the default)."""
+    """Returns the factors of a symmetric ``matrix``.
+
+    SuperLU runs in its symmetric mode, with an ordering of A^T + A and pivots on the diagonal, in half the time of its
+    default. Raises ``InputError`` for numbers that are not finite, ``SingularMatrix`` for a pivot of zero.
+    """
     if not np.isfinite(matrix.data).all():
         raise InputError(
             "simulation step",
@@ -133,10 +140,11 @@ class ClothState(NamedTuple):
 
 
 class Parameters(NamedTuple):
-    """The leaves that a simulation is differentiated by, besides its state; float64.
+    """The tensors that a simulation is differentiated by, besides its state; float64.
 
-    ``panels`` [m] (P, 2) rest positions, ``stretch`` [N/m] (4,) = (H00, H01, H11, H22), ``bending_j`` [J]
-    () or (H,) per hinge, ``density_kg_m2`` (), ``force_n`` [N] (V, 3) on the nodes.
+    ``panels`` [m] (P, 2) are rest positions of the panel vertices, ``stretch`` [N/m] (4,) is (H00, H01, H11, H22),
+    ``bending_j`` [J] () or (H,) one for each hinge, ``density_kg_m2`` (), ``force_n`` [N] (V, 3) given forces on the
+    nodes.
     """
 
     panels: Tensor
@@ -147,13 +155,16 @@ class Parameters(NamedTuple):
 
     @property
     def membrane(self) -> tuple[Tensor, ...]:
-        """The stiffness [N/m] of ``drape.cloth.membrane`` along the panels' x and y."""
+        """(H00, H11, H01, 2 H22) [N/m], each (): the stiffness along the panels' x and y as ``drape.cloth.membrane``
+        takes it."""
         h00, h01, h11, h22 = self.stretch
         return h00, h11, h01, 2.0 * h22
 
 
 class Rest(NamedTuple):
-    """Constants that follow from the panels: ``triangles``, ``hinge_weight`` (H,), and ``node_area`` [m^2] (V,)."""
+    """The constants of a cloth that follow from its rest panels: ``triangles``, ``hinge_weight`` (H,), the squared
+    length of each hinge over the area of its two triangles, and ``node_area`` [m^2] (V,), a third of the triangles
+    about each node."""
 
     triangles: RestTriangles
     hinge_weight: Tensor
@@ -161,11 +172,11 @@ class Rest(NamedTuple):
 
 
 class ClothModel:
-    """The constants of a sewn mesh: the node of each panel vertex, the elements, and the static maps.
+    """The constants of a sewn mesh: the node of each panel vertex, the elements, and their static assembly.
 
     ``faces`` (F, 3) are nodes of the sewn mesh, ``panel_faces`` (F, 3) the same triangles as vertices of the panels; a
-    node on a seam has several. Without ``panel_faces`` the cloth is one panel. ``fixed`` lists nodes that do not move.
-    ``rest_angle`` [rad] (H,) of the hinges is zero, and may be set.
+    node on a seam has several. Without ``panel_faces`` the cloth is one panel. ``fixed`` (n,) are numbers of nodes that
+    do not move. ``rest_angle`` [rad] (H,), the angle of the hinges at rest, is zero, and may be set.
     """
 
     def __init__(
@@ -197,7 +208,11 @@ class ClothModel:
         self._hinge_sides = torch.from_numpy(sides)
 
     def parameters(self, panels: np.ndarray, material: OrthotropicMaterial) -> Parameters:
-        """Tensors of checked numbers, no force given; ask for gradients with ``requires_grad_`` on those you want."""
+        """Returns the parameters of ``panels`` [m] (P, 2) of a ``material``, without given forces; none requires a
+        gradient.
+
+        Raises ``MeshError`` for another shape, numbers that are not finite, and triangles without area.
+        """
         panels = np.asarray(panels, dtype=np.float64)
         check_shape("panels", panels, (self.panel_count, 2), error=MeshError)
         check_finite("panels", panels, error=MeshError)
@@ -219,7 +234,10 @@ class ClothModel:
         )
 
     def state(self, positions: np.ndarray, velocities: np.ndarray | None = None) -> ClothState:
-        """The state at checked ``positions`` [m] (V, 3), at rest unless ``velocities`` [m/s] are given."""
+        """Returns the state at ``positions`` [m] (V, 3) with ``velocities`` [m/s] (V, 3), by default zero.
+
+        Raises ``InputError`` for another shape, numbers that are not finite, and a fixed node that moves.
+        """
         x = np.asarray(positions, dtype=np.float64)
         v = np.zeros_like(x) if velocities is None else np.asarray(velocities, dtype=np.float64)
         for name, array in (("positions", x), ("velocities", v)):
@@ -230,7 +248,7 @@ class ClothModel:
         return ClothState(torch.tensor(x), torch.tensor(v))
 
     def rest(self, panels: Tensor) -> Rest:
-        """Constants of the rest ``panels`` (P, 2); differentiable."""
+        """Returns the constants of rest ``panels`` [m] (P, 2), differentiable by these."""
         a, b, c = _corners(panels, self._panel_index, 3)
         triangles = rest_triangles(b - a, c - a)
         lengths = torch.cat([(end - start).norm(dim=0) for start, end in ((a, b), (b, c), (c, a))])
@@ -240,17 +258,19 @@ class ClothModel:
         return Rest(triangles, edge * edge / area, node_area)
 
     def triangles(self, vectors: Tensor) -> Tensor:
-        """Corners (3, 3, F) of the triangles from node vectors (V, 3)."""
+        """Returns ``vectors`` (V, 3) of the nodes at the triangles' corners: (corner, coordinate, F), that is (3, 3,
+        F)."""
         return _corners(vectors, self._face_index, 3)
 
     def hinges(self, vectors: Tensor) -> Tensor:
-        """Corners (4, 3, H) of the hinges from node vectors (V, 3)."""
+        """Returns ``vectors`` (V, 3) of the nodes at the hinges' corners: (corner, coordinate, H), that is (4, 3, H).
+        The first two corners are the ends of the hinge."""
         return _corners(vectors, self._hinge_index, 4)
 
 
 def _checked_faces(faces: np.ndarray, panel_faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Both as integers. Raises ``MeshError`` if they do not match, are empty, or leave vertices loose."""
-    checked = [meshes.check_faces(each, int(np.max(each, initial=-1)) + 1) for each in (faces, panel_faces)]
+    checked = [meshes.check_faces(rows, int(np.max(rows, initial=-1)) + 1) for rows in (faces, panel_faces)]
     if checked[0].shape != checked[1].shape or len(checked[0]) == 0:
         raise MeshError(
             "panel_faces",
@@ -302,16 +322,14 @@ def _corners(vectors: Tensor, index: Tensor, count: int) -> Tensor:
 
 
 def elastic_energy(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor) -> Tensor:
-    """Elastic energy [J] () at nodes ``x`` (V, 3)."""
+    """Returns the elastic energy [J] () of the cloth with nodes at ``x`` [m] (V, 3)."""
     stretched = membrane.membrane_energy(model.triangles(x), rest.triangles, parameters.membrane)
     return stretched.sum() + bending.bending_energy(model.hinges(x), *_hinges(model, rest, parameters)).sum()
 
 
 def elastic_forces(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor) -> Tensor:
-    """Elastic forces [N] (V, 3): minus the derivative of ``elastic_energy``, assembled by the static map.
-
-    It has no gradient.
-    """
+    """Returns elastic forces [N] (V, 3): minus the derivative of ``elastic_energy`` by ``x`` [m] (V, 3). They have no
+    gradient."""
     return -torch.from_numpy(model.assembly.gradient(_numpy(_gradients(model, rest, parameters, x))))
 
 
@@ -325,8 +343,8 @@ def elastic_hessian(
     scale: float = 1.0,
     blocks: np.ndarray | None = None,
 ) -> scipy.sparse.csc_matrix:
-    """Returns ``scale`` times the second derivative [N/m] (3V, 3V) of ``elastic_energy``, plus ``blocks`` (V, 3, 3)
-    of the nodes.
+    """Returns ``scale`` times the second derivative [N/m] (3 V, 3 V) of ``elastic_energy`` by ``x`` [m] (V, 3), plus
+    ``blocks`` (V, 3, 3) of single nodes.
 
     Rows and columns of fixed nodes are those of the identity. ``definite`` makes every element positive semidefinite:
     triangles keep the tensile stress only, hinges are as stiff as unbent ones.
@@ -338,9 +356,8 @@ def elastic_hessian(
 
 
 def elastic_work(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor, direction: Tensor) -> Tensor:
-    """The derivative () of ``elastic_energy`` along ``direction`` (V, 3), in [J] for a direction in [m]; differentiable
-    once more.
-    """
+    """Returns the derivative () of ``elastic_energy`` along ``direction`` (V, 3), in [J] for a direction in [m];
+    differentiable once more."""
     directions = model.triangles(direction), model.hinges(direction)
     gradients = _gradients(model, rest, parameters, x)
     return torch.stack([(slope * way).sum() for slope, way in zip(gradients, directions, strict=True)]).sum()
@@ -349,9 +366,8 @@ def elastic_work(model: ClothModel, rest: Rest, parameters: Parameters, x: Tenso
 def elastic_bilinear(
     model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor, left: Tensor, right: Tensor
 ) -> Tensor:
-    """The number ``left``^T H ``right`` () for the definite ``elastic_hessian`` H and node vectors (V, 3), without the
-    matrix; differentiable once more.
-    """
+    """Returns the number ``left``^T H ``right`` () for the definite ``elastic_hessian`` H at ``x`` [m] and node vectors
+    (V, 3), without the matrix; differentiable once more."""
     stretched = membrane.membrane_bilinear(
         model.triangles(x), rest.triangles, parameters.membrane, model.triangles(left), model.triangles(right)
     )

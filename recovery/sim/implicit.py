@@ -33,14 +33,15 @@ DAMPED_DT_S = 0.033
 
 
 class ImplicitProblem(Protocol):
-    """Equations for node vectors (V, 3), with what their adjoint needs."""
+    """The equations r(s, p) = 0 for node vectors s (V, 3), where p are state and parameters, with what their adjoint
+    needs."""
 
     def solve(self, state: ClothState, parameters: Parameters) -> Tensor:
-        """The solution s (V, 3)."""
+        """Returns the solution s (V, 3)."""
         ...
 
     def factor(self, solution: Tensor, state: ClothState, parameters: Parameters) -> Factor:
-        """dr/ds at the solution, factored; rows of fixed nodes those of the identity."""
+        """Returns dr/ds (3 V, 3 V) at the ``solution``, factored; rows of fixed nodes are those of the identity."""
         ...
 
     def adjoint(self, weights: Tensor, solution: Tensor, state: ClothState, parameters: Parameters) -> Tensor:
@@ -50,7 +51,7 @@ class ImplicitProblem(Protocol):
 
     @property
     def free(self) -> Tensor:
-        """1 at nodes that move and 0 elsewhere (V, 1)."""
+        """1 at nodes that move and 0 at fixed ones, (V, 1)."""
         ...
 
 
@@ -84,20 +85,21 @@ def _unpacked(leaves: tuple[Tensor, ...] | list[Tensor]) -> tuple[ClothState, Pa
 
 
 def implicit_solution(problem: ImplicitProblem, state: ClothState, parameters: Parameters) -> Tensor:
-    """The problem's solution (V, 3), differentiable once by ``state`` and ``parameters``."""
+    """Returns the solution (V, 3) of ``problem``, differentiable once by ``state`` and ``parameters``."""
     return _Implicit.apply(problem, *state, *parameters)  # type: ignore[return-value]
 
 
 class SpringForces(NamedTuple):
-    """Springs between nodes besides the cloth: force [N] (V, 3) and stiffness [N/m] (3V, 3V), zero at fixed nodes."""
+    """Springs between nodes besides the cloth: ``force`` [N] (V, 3) and ``stiffness`` [N/m] (3 V, 3 V), zero at fixed
+    nodes."""
 
     force: Tensor
     stiffness: scipy.sparse.csc_matrix
 
 
 class LinearisedStep:
-    """The equations of a step: (M + dt^2 K + dt D) dv = dt (f - dt K v - D v), with K the definite part of -df/dx and D
-    the drag of friction.
+    """The equations of a step for its change of velocity dv [m/s]: (M + dt^2 K + dt D) dv = dt (f - dt K v - D v), with
+    masses M, forces f, K the definite part of -df/dx, and D the drag of friction.
 
     With the whole of -df/dx the matrix would be indefinite as soon as cloth is compressed.
     """
@@ -184,10 +186,11 @@ def linearised_step(
     contact: SkinContact | None = None,
     pairs: SpringForces | None = None,
 ) -> ClothState:
-    """The state ``dt_s`` [s] later after one linear solve (equation 1), then equation 4's correction.
+    """Returns the state ``dt_s`` [s] later by one linear solve (``LinearisedStep``); nodes in the body are then put
+    outside (``SkinContact.corrected``). Differentiable once.
 
-    ``pairs`` are springs between parts of the cloth, constant during the step, without a gradient. The factor is
-    kept for the backward pass; differentiable once.
+    ``pairs`` are springs between parts of the cloth, constant during the step, without a gradient. The factor is kept
+    for the backward pass.
     """
     step = LinearisedStep(model, contact, dt_s=dt_s, pairs=pairs)
     v = state.v + implicit_solution(step, state, parameters)
@@ -205,9 +208,10 @@ def damped_step(
     longest_m: float,
     pairs: SpringForces | None = None,
 ) -> tuple[ClothState, float]:
-    """The state ``DAMPED_DT_S`` later and the longest move [m], for cloth that shall come to rest in its folds.
+    """Returns the state ``DAMPED_DT_S`` [s] later, and the longest move [m] of a node before moves are shortened.
 
-    No node moves more than ``longest_m`` [m], and the next step begins with the share ``kept`` of this one's speed.
+    It lets cloth come to rest in its folds: moves are shortened, all alike, to at most ``longest_m`` [m]. The velocity
+    is the share ``kept`` of that of the moves; nodes at the skin have none outward.
     """
     with torch.no_grad():
         after = linearised_step(model, state, parameters, dt_s=DAMPED_DT_S, contact=contact, pairs=pairs)
@@ -230,7 +234,7 @@ def simulate_steps(
     steps: int,
     contact: SkinContact | None = None,
 ) -> ClothState:
-    """The state after ``steps`` linearised steps of ``dt_s`` [s]."""
+    """Returns the state after ``steps`` linearised steps of ``dt_s`` [s]."""
     for _ in range(steps):
         state = linearised_step(model, state, parameters, dt_s=dt_s, contact=contact)
     return state

@@ -40,7 +40,8 @@ SHORTEST_STEP = 2.0**-30
 
 
 class Report(NamedTuple):
-    """The end of a solve: ``residual_n`` [N] is the largest component of the force left at a free node."""
+    """The end of a solve: its ``iterations``, the largest component ``residual_n`` [N] of the force left at a free
+    node, and whether that is within the tolerance."""
 
     iterations: int
     residual_n: float
@@ -118,8 +119,8 @@ class _Potential:
             y = x.detach().requires_grad_(True)
             residual = self._contact_residual(self.contact, y)
             rows = [torch.autograd.grad(residual[:, c].sum(), y, retain_graph=True)[0] for c in range(3)]
-        found = torch.stack(rows, dim=1)
-        return blocks + (found if exact else _definite(found))
+        stiffness = torch.stack(rows, dim=1)
+        return blocks + (stiffness if exact else _definite(stiffness))
 
 
 def _definite(blocks: Tensor) -> Tensor:
@@ -133,7 +134,11 @@ def _definite(blocks: Tensor) -> Tensor:
 
 
 class Minimum:
-    """Stationary point of the incremental potential; ``dt_s`` None for the drape at rest."""
+    """The problem (``ImplicitProblem``) of positions x [m] (V, 3) at which the incremental potential is stationary.
+
+    With ``dt_s`` [s] they are those of an implicit Euler step; with None those of a drape at rest, without inertia and
+    friction. ``report`` tells how the last solve ended.
+    """
 
     def __init__(
         self,
@@ -223,7 +228,7 @@ def _held(model: ClothModel, x: Tensor, state: ClothState) -> Tensor:
 
 
 def force_left(model: ClothModel, state: ClothState, parameters: Parameters, contact: SkinContact | None) -> float:
-    """The largest component [N] of the force left at a free node at ``state``, without inertia and friction."""
+    """Returns the largest component [N] of the force left at a free node at ``state``, without inertia and friction."""
     with torch.no_grad():
         potential = _Potential(model, contact, None, state, parameters)
         return float(potential.residual(state.x).abs().max())
@@ -239,10 +244,10 @@ def newton_step(
     tolerance_n: float = TOLERANCE_N,
     iteration_limit: int = ITERATION_LIMIT,
 ) -> tuple[ClothState, Report]:
-    """The state ``dt_s`` [s] later by implicit Euler solved to ``tolerance_n``, and how the solve ended.
+    """Returns the state ``dt_s`` [s] later by implicit Euler solved to ``tolerance_n`` [N], and how the solve ended.
 
-    Differentiable once: the backward pass factors the exact Hessian at the solution. It refuses after a solve
-    that did not converge, because its gradient would be that of something else.
+    Differentiable once: the backward pass factors the exact Hessian at the solution. It raises ``InputError`` after a
+    solve that did not converge, because its gradient would be that of something else.
     """
     step = Minimum(model, contact, dt_s=dt_s, tolerance_n=tolerance_n, iteration_limit=iteration_limit)
     x = _held(model, implicit_solution(step, state, parameters), state)
@@ -258,7 +263,8 @@ def equilibrium(
     tolerance_n: float = TOLERANCE_N,
     iteration_limit: int = ITERATION_LIMIT,
 ) -> tuple[ClothState, Report]:
-    """A drape at rest near ``state``, without friction, and how the solve ended; differentiable as ``newton_step``."""
+    """Returns a drape at rest near ``state``, without friction and with velocities of zero, and how the solve ended.
+    Differentiable once, as ``newton_step`` is."""
     drape = Minimum(model, contact, dt_s=None, tolerance_n=tolerance_n, iteration_limit=iteration_limit)
     x = _held(model, implicit_solution(drape, state, parameters), state)
     return ClothState(x, torch.zeros_like(x)), drape.report

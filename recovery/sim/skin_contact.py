@@ -27,7 +27,8 @@ LARGEST_GRID = 40_000_000  # nodes, 320 MB
 
 @dataclass(frozen=True)
 class PlaneDistance:
-    """The half space below the plane through ``point`` [m] with outward ``normal``."""
+    """The signed distance of the half space behind the plane through ``point`` [m] with outward ``normal``, of any
+    length."""
 
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     normal: tuple[float, float, float] = (0.0, 1.0, 0.0)
@@ -41,7 +42,7 @@ class PlaneDistance:
 
 @dataclass(frozen=True)
 class Sphere:
-    """The ball of ``radius_m`` about ``centre`` [m]."""
+    """The signed distance of the ball of ``radius_m`` about ``centre`` [m]."""
 
     centre: tuple[float, float, float]
     radius_m: float
@@ -54,7 +55,8 @@ class Sphere:
 
 @dataclass(frozen=True)
 class Grown:
-    """The body ``bare`` grown by ``by_m`` [m] on all sides: cloth rests that much farther off its skin."""
+    """The signed distance of the body ``bare`` grown by ``by_m`` [m] on all sides: cloth rests that much farther off
+    its skin."""
 
     bare: SignedDistance
     by_m: float
@@ -65,15 +67,15 @@ class Grown:
 
 
 def bare(body: SignedDistance) -> SignedDistance:
-    """Returns ``body`` without the skin by which it was ``Grown``."""
+    """Returns the signed distance of ``body`` before it was ``Grown``: ``body`` itself if it was not."""
     return body.bare if isinstance(body, Grown) else body
 
 
 class GridDistance:
-    """A C2 tricubic B-spline through distances sampled on a grid.
+    """The signed distance of a body: a C2 tricubic B-spline through ``values`` [m] (X, Y, Z) on a grid.
 
-    ``values`` [m] (X, Y, Z) at ``origin`` [m] (3,) + ``spacing_m`` * index. Outside the grid the distance
-    to the grid is added.
+    The value at ``index`` lies at ``origin`` [m] (3,) + ``spacing_m`` * index. Outside the grid the distance to the
+    grid is added.
     """
 
     def __init__(self, values: np.ndarray, origin: np.ndarray, spacing_m: float) -> None:
@@ -102,7 +104,12 @@ class GridDistance:
     def from_mesh(
         cls, vertices: np.ndarray, faces: np.ndarray, *, spacing_m: float = 0.01, margin_m: float = 0.05
     ) -> GridDistance:
-        """Distances to a closed mesh, sampled in its box and ``margin_m`` around it."""
+        """Returns the signed distance of a closed mesh, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), sampled in its
+        box and ``margin_m`` [m] around it.
+
+        Raises ``MeshError`` for an open mesh, ``InputError`` for lengths that are not positive or a grid that is too
+        large.
+        """
         faces = check_closed(vertices, faces)
         if not (0.0 < spacing_m < np.inf and 0.0 <= margin_m < np.inf):
             raise InputError(
@@ -141,7 +148,7 @@ class GridDistance:
 
 
 def check_closed(vertices: np.ndarray, faces: np.ndarray, name: str = "body") -> np.ndarray:
-    """Returns ``faces`` (F, 3) as integers. Raises ``MeshError`` for an open or empty mesh: it has no inside."""
+    """Returns ``faces`` (F, 3) as integers. Raises ``MeshError`` for an open or empty mesh, which has no inside."""
     faces = meshes.check_faces(faces, len(vertices))
     loops = meshes.boundary_loops(faces)
     if len(faces) == 0 or loops:
@@ -155,9 +162,10 @@ def check_closed(vertices: np.ndarray, faces: np.ndarray, name: str = "body") ->
 
 
 def extend_distance(value: Tensor, gradient: Tensor, off: Tensor) -> tuple[Tensor, Tensor]:
-    """A distance [m] (N,) and its gradient (N, 3), known in a box, at points outside of it.
+    """Returns distance [m] (N,) and gradient (N, 3) of points, from ``value`` (N,) and ``gradient`` (N, 3) at the
+    points of a box that are nearest to them.
 
-    ``off`` [m] (N, 3) leads from the nearest point of the box, where they are known, to the point; its length is added.
+    ``off`` [m] (N, 3) leads from there to the points, zero inside the box. Its length is added to the distance.
     """
     far = (off != 0.0).any(dim=1)
     if not far.any():
@@ -210,48 +218,54 @@ class SkinContact:
                 )
 
     def energy(self, x: Tensor, node_area: Tensor) -> Tensor:
-        """Repulsion energy [J] ()."""
+        """Returns the energy [J] () of the repulsion of nodes at ``x`` [m] (V, 3) with ``node_area`` [m^2] (V,)."""
         depth = torch.clamp(self.gap_m - self.body(x)[0], min=0.0)
         return self.stiffness_j_m4 * (node_area * depth * depth).sum()
 
     def force(self, x: Tensor, node_area: Tensor) -> Tensor:
-        """Repulsion [N] (V, 3)."""
+        """Returns the repulsion [N] (V, 3) of nodes at ``x`` [m] (V, 3) with ``node_area`` [m^2] (V,)."""
         distance, gradient = self.body(x)
         return self._magnitude(distance, node_area)[:, None] * gradient
 
     def stiffness(self, x: Tensor, node_area: Tensor) -> tuple[Tensor, Tensor]:
-        """c [N/m] (V,) and r (V, 3): the repulsion's stiffness is c r r^T, the body's curvature left out."""
+        """Returns c [N/m] (V,) and r (V, 3): the stiffness of the repulsion of each node is c r r^T, the body's
+        curvature left out."""
         distance, gradient = self.body(x)
         return torch.where(distance < self.gap_m, 2.0 * self.stiffness_j_m4 * node_area, 0.0), gradient
 
     def grip(self, x: Tensor, node_area: Tensor) -> tuple[Tensor, Tensor]:
-        """Greatest friction [N] (V,) and the unit normals (V, 3) at ``x``."""
+        """Returns the greatest friction [N] (V,) of nodes at ``x`` [m] (V, 3), and the unit normals (V, 3) of the body
+        there."""
         distance, gradient = self.body(x)
         return self.friction * self._magnitude(distance, node_area), _unit(gradient)
 
     def drag(self, x: Tensor, v: Tensor, node_area: Tensor) -> tuple[Tensor, Tensor]:
-        """Friction per tangential speed [N s/m] (V,) at velocity ``v``, and the unit normals (V, 3)."""
+        """Returns the friction per tangential speed [N s/m] (V,) at velocities ``v`` [m/s] (V, 3), and the unit normals
+        (V, 3)."""
         limit, normal = self.grip(x, node_area)
         slip = tangential(v, normal)
         return limit / torch.sqrt((slip * slip).sum(dim=1) + self.slip_speed_m_s**2), normal
 
     def friction_potential(self, move: Tensor, limit: Tensor, normal: Tensor, *, dt_s: float) -> Tensor:
-        """Incremental potential [J] () of sliding by ``move`` [m] (V, 3) against ``limit`` [N]."""
+        """Returns the incremental potential [J] () of moves ``move`` [m] (V, 3) in ``dt_s`` [s] against the greatest
+        friction ``limit`` [N] (V,), across the unit ``normal`` (V, 3)."""
         slip = tangential(move, normal)
         smooth = self.slip_speed_m_s * dt_s
         return (limit * (torch.sqrt((slip * slip).sum(dim=1) + smooth**2) - smooth)).sum()
 
     def friction_resistance(self, move: Tensor, limit: Tensor, normal: Tensor, *, dt_s: float) -> Tensor:
-        """Derivative [N] (V, 3) of ``friction_potential`` by ``move``: minus the friction."""
+        """Returns the derivative [N] (V, 3) of ``friction_potential`` by ``move``: minus the friction."""
         return self.friction_stiffness(move, limit, normal, dt_s=dt_s)[:, None] * tangential(move, normal)
 
     def friction_stiffness(self, move: Tensor, limit: Tensor, normal: Tensor, *, dt_s: float) -> Tensor:
-        """Secant stiffness [N/m] (V,) across the normal, at least the tangent one."""
+        """Returns the secant stiffness [N/m] (V,) of friction: its size over that of the tangential move. The tangent
+        stiffness is nowhere larger."""
         slip = tangential(move, normal)
         return limit / torch.sqrt((slip * slip).sum(dim=1) + (self.slip_speed_m_s * dt_s) ** 2)
 
     def corrected(self, state: ClothState, free: Tensor) -> ClothState:
-        """Equation 4: nodes inside the body put ``thickness_m`` outside it, without their inward velocity."""
+        """Returns ``state`` with nodes inside the body put ``thickness_m`` outside it, without their inward velocity
+        (equation 4 of Yu, Cordier and Seo 2024). ``free`` (V, 1) is above 0 at nodes that may move."""
         distance, gradient = self.body(state.x)
         normal = _unit(gradient)
         inside = ((distance < 0.0)[:, None] & (free > 0.0)).to(state.x.dtype)
@@ -264,7 +278,7 @@ class SkinContact:
 
 
 def tangential(vectors: Tensor, normal: Tensor) -> Tensor:
-    """The part (V, 3) of ``vectors`` across the unit ``normal``."""
+    """Returns ``vectors`` (V, 3) without their parts along the unit ``normal`` (V, 3)."""
     return vectors - (vectors * normal).sum(dim=1, keepdim=True) * normal
 
 

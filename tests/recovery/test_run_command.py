@@ -153,7 +153,7 @@ def run(tmp_path_factory):
         # All that would be read off the target is named, so that the search has something to find.
         own = [f"{key}={value}" for key, value in own_settings("tshirt", default_measurements(), TOLD).items()]
         code = command.main([str(path), "--base", "tshirt", "--set", *own, "--out", str(folder / "out"), *coarse])
-    assert code == 0 and len(outcomes[0].found.rounds) == 1
+    assert code == 0 and len(outcomes[0].recovered.rounds) == 1
     return folder, outcomes[0], truth
 
 
@@ -179,7 +179,7 @@ def test_a_draped_mesh_becomes_a_pattern_and_a_garment(run):
 @pytest.mark.slow
 def test_the_cloth_has_words(run):
     _, outcome, _ = run
-    given = cloth_words(outcome.found)
+    given = cloth_words(outcome.recovered)
     assert "jersey, a cloth of the simulator's" in given and "200 g/m²" in given and "not recovered" in given
 
 
@@ -209,11 +209,11 @@ def test_the_report_says_what_was_found(run):
         assert words in page
     style = Style({"cuffs": 0.05, "collar": 0.06})
     made = finish_pattern(add_style_lines(outcome.pattern, style), style)
-    with_lines = replace(outcome, written=outcome.written._replace(style=style, made=made))
+    with_lines = replace(outcome, written=outcome.written._replace(style=style, finished=made))
     assert cut_of(with_lines) == f"{record['cut']}; with cuffs 5 cm, collar 6 cm: 11 pieces, 24 seams"
     assert "With cuffs 5 cm, collar 6 cm it has 11 pieces and 24 seams" in report_summary(with_lines)[0]
     lines = ReportPage("lines")
-    add_pieces(lines, with_lines.written.made)
+    add_pieces(lines, with_lines.written.finished)
     assert "cut twice: sewn to its facing" in lines.text() and "sleeve_left_front_cuff" in lines.text()
     anew = outcome.sewn.anew
     for share, said in ((0.0, False), (19.0, True)):
@@ -222,7 +222,7 @@ def test_the_report_says_what_was_found(run):
         other = outcome.sewn._replace(anew=anew._replace(draped=replace(draped, figures=figures)))
         look = verdicts(replace(outcome, sewn=other))[1]
         assert any("cut the body" in sentence for sentence in look) == said
-    dropped = replace(outcome, found=replace(outcome.found, left="round 2 of 3: no drape at rest"))
+    dropped = replace(outcome, recovered=replace(outcome.recovered, left="round 2 of 3: no drape at rest"))
     assert "A part of the search was left out: round 2 of 3: no drape at rest." in verdicts(dropped)[1]
     moved = anew._replace(distance=anew.distance._replace(mean_mm=7.0), belt_moved_m=-0.02)
     far = replace(outcome, sewn=outcome.sewn._replace(anew=moved))
@@ -237,7 +237,7 @@ def test_lines_that_are_sewn_again_move_no_cloth(run):
     _, outcome, _ = run
     pattern = add_style_lines(outcome.pattern, Style({"cuffs": 0.06, "hemband": 0.06, "yoke": 0.09}))
     start = DrapeStart(load_body(), COARSE, None, None, ("left_arm", "right_arm"))
-    anew = sew_anew(outcome.found, start, pattern)
+    anew = sew_anew(outcome.recovered, start, pattern)
     assert len(anew.draped.mesh.pattern.panels) == 13
     assert anew.draped.at_rest and anew.distance.mean_mm < 3.0
 
@@ -246,7 +246,7 @@ def test_lines_that_are_sewn_again_move_no_cloth(run):
 def test_what_the_target_shows_is_what_a_changed_pattern_changes(run):
     """A step along the best seen shape, draped: the loss rises as its singular value says."""
     _, outcome, _ = run
-    found, told, search = outcome.found, outcome.near.told, outcome.found.search
+    found, told, search = outcome.recovered, outcome.near.identifiability, outcome.recovered.search
     assert (
         len(told.seen) == len(told.cloth) == search.free.count - 8
     )  # rigid: 3 of each half sleeve, and both bodices rise
@@ -270,7 +270,7 @@ def test_the_garment_is_taken_to_other_bodies_and_poses(run, monkeypatch):
     monkeypatch.setattr("recovery.run.sew_anew.POSES", (str(folder / "turned.json"),))
     draped, body = outcome.sewn.anew.draped, load_body()
     parts = ["trunk", "trunk", "left_arm", "right_arm"]
-    taller, posed = drape_elsewhere(truth, draped, body, body, COARSE, parts, cloth=outcome.found.fitted.cloth)
+    taller, posed = drape_elsewhere(truth, draped, body, body, COARSE, parts, cloth=outcome.recovered.fitted.cloth)
     assert taller.lost == posed.lost == ()
     for worn in (taller, posed):
         assert worn.figures["converged"] and worn.figures["clearance_mm"] > 0.0 and not worn.refusal
@@ -286,7 +286,7 @@ def test_what_fell_into_other_folds_is_hung_in_the_reports(run, monkeypatch: pyt
     shaken = replace(draped, rest=draped.rest._replace(nodes=draped.nodes + aside))
     monkeypatch.setattr("recovery.fit.starts.drape_pattern", lambda *given, **more: shaken)
     start = DrapeStart(wearer.shaped, COARSE, wearer.pose, None, ("trunk",))
-    again = sew_anew(replace(outcome.found, sewn=None), start)
+    again = sew_anew(replace(outcome.recovered, sewn=None), start)
     assert again.by_itself.mean_mm > 3.0 >= again.distance.mean_mm and again.draped.at_rest
     assert "hung in this garment's folds" in anew_words(again)
 

@@ -306,13 +306,13 @@ def test_arms_bend_where_long_sleeves_do(body):
 def test_without_a_base_the_target_tells_it_and_its_settings(tmp_path):
     path = write_obj(tmp_path / "t.obj", skirt_tube())
     found = prepare(RecoveryJob(target=path, out=tmp_path, base=None, body="anny_default"))
-    assert (found.cut.base, found.cut.told, found.base.name) == ("skirt", True, "t")
+    assert (found.cut.base, found.cut.by_openings, found.base.name) == ("skirt", True, "t")
     assert_allclose(found.cut.settings["length_m"], 0.5, atol=1e-6)
     assert any("chosen by the target's openings: skirt" in note for note in found.warnings)
     named = prepare(
         RecoveryJob(target=path, out=tmp_path, base="skirt", body="anny_default", settings=["length_m=0.4"])
     )
-    assert not named.cut.told and named.cut.settings["length_m"] == 0.4
+    assert not named.cut.by_openings and named.cut.settings["length_m"] == 0.4
     with pytest.raises(InputError, match=r"--set: expected NAME=NUMBER"):
         prepare(RecoveryJob(target=path, out=tmp_path, base=None, body="anny_default", settings=["length_m"]))
     pattern = export_pattern(found.base, tmp_path, ["json"])[0]

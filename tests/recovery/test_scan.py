@@ -174,7 +174,7 @@ def test_noise_along_a_border_is_no_bite_and_a_bite_with_noise_is_one(around, no
         vertices = mesh.vertices.copy()
         vertices[rim] += noise_m * np.random.default_rng(seed).normal(size=(len(rim), 3))
         noisy = replace(mesh, vertices=vertices)
-        assert sum(len(bites_of(noisy, one)) for one in borders(noisy)) == bites
+        assert sum(len(bites_of(noisy, border)) for border in borders(noisy)) == bites
 
 
 @pytest.mark.parametrize(
