@@ -32,8 +32,8 @@ Names = tuple[str | None, ...]
 
 
 class AttirePart(NamedTuple):
-    """Faces of one ``kind``: their number ``faces`` and how ``sure`` the kind is, 0 to 1; ``bulky`` things stand so far
-    off the trunk that no cloth lies over them."""
+    """A part of a character: a number of ``faces`` of one ``kind``, one of ``KINDS``. ``sure`` in [0, 1] is how certain
+    the kind is. A ``bulky`` part stands so far off the trunk that no cloth lies over it."""
 
     name: str
     kind: str
@@ -43,10 +43,10 @@ class AttirePart(NamedTuple):
 
 
 class Attire(NamedTuple):
-    """The parts of a character and the colours of its faces.
+    """The ``parts`` of a character, and for each of its F faces the index ``part`` (F,) of its part.
 
-    ``parts`` are its parts, and ``part`` (F,) is the number of the part that each face belongs to. ``colours`` (F, 3)
-    are the faces' colours in sRGB, and ``skin_colour`` (3,) is the mean of those of the skin.
+    ``colours`` (F, 3) are the faces' colours, sRGB in [0, 1], and ``skin_colour`` (3,) is the mean of those of the
+    skin.
     """
 
     parts: tuple[AttirePart, ...]
@@ -55,21 +55,26 @@ class Attire(NamedTuple):
     colours: np.ndarray
 
     def of_kinds(self, kinds: Collection[str]) -> np.ndarray:
-        """Which faces (F,) are of ``kinds``."""
+        """Returns the mask (F,) bool of the faces whose part is of one of ``kinds``."""
         return np.array([part.kind in kinds for part in self.parts], dtype=bool)[self.part]
 
 
 def attire_of(
-    file: GltfFile, character: Character, pose: TPose, colours: np.ndarray, *, told: Mapping[str, str] | None = None
+    file: GltfFile,
+    character: Character,
+    pose: TPose,
+    colours: np.ndarray,
+    *,
+    corrections: Mapping[str, str] | None = None,
 ) -> Attire:
-    """Returns the parts of ``character``, which stands in ``pose`` and whose faces have the ``colours`` (F, 3), sRGB.
+    """Returns the parts of ``character``, which was read from ``file``, and the colours of its faces.
 
-    ``told``: the kinds of parts that a client corrects, by the parts' names. Raises ``NotFound`` for a part or a kind
-    that does not exist.
+    ``pose`` is the character in T-pose. ``colours`` (F, 3), sRGB in [0, 1], are those of its faces. ``corrections`` are
+    kinds that a client sets, by the names of the parts. Raises ``NotFound`` for a part or a kind that does not exist.
     """
     surface = _Surface(character, pose, colours)
     names = [_names(file, primitive.node, primitive.primitive) for primitive in character.primitives]
-    kinds_named = [kind_of_names(one) for one in names]
+    kinds_named = list(map(kind_of_names, names))
     plain = len({kind for kind in kinds_named if kind not in (None, "face")}) <= 1
     kinds = np.full(len(pose.faces), -1)
     sure = np.full(len(pose.faces), BY_NAME)
@@ -83,7 +88,7 @@ def attire_of(
     if len(left):
         kinds[left], sure[left] = surface.by_colour(left, kinds), BY_COLOUR
     parts, part = _grouped(character, surface.primitive, kinds, sure, names)
-    attire = Attire(_corrected(parts, told or {}, file.label), part, (0.0, 0.0, 0.0), colours)
+    attire = Attire(_corrected(parts, corrections or {}, file.label), part, (0.0, 0.0, 0.0), colours)
     bare = attire.of_kinds(("skin",))
     bare = bare if bare.any() else attire.of_kinds(("face",))
     rows = bare if bare.any() else np.ones(len(bare), dtype=bool)
@@ -97,9 +102,8 @@ def _names(file: GltfFile, node: int, index: int) -> Names:
     mesh = file.item("meshes", held.mesh)
     number = mesh.primitives[index].material
     material = {} if number is None else file.item("materials", number, "primitives.material")
-    pictures = [one.get("name") for one in (_picture(file, material),) if one]
-    found = [material.get("name"), held.name, mesh.name, *pictures]
-    return tuple(name[:120] if isinstance(name, str) else None for name in found)
+    names = material.get("name"), held.name, mesh.name, _picture(file, material).get("name")
+    return tuple(name[:120] if isinstance(name, str) else None for name in names)
 
 
 def _picture(file: GltfFile, material: dict) -> dict:
@@ -293,7 +297,7 @@ def _grouped(
 ) -> tuple[tuple[AttirePart, ...], np.ndarray]:
     """Faces of one primitive and one kind as a part, and the part (F,) of each face; a part's name is the node's, with
     the material and the kind where these tell it from others."""
-    nodes = [one.node for one in character.primitives]
+    nodes = [mesh_part.node for mesh_part in character.primitives]
     groups: list[AttirePart] = []
     part = np.zeros(len(kinds), dtype=np.int64)
     for number, mesh_part in enumerate(character.primitives):
@@ -304,21 +308,23 @@ def _grouped(
             base = f"{base}/{names[number][0] or mesh_part.primitive}"
         for place, kind in enumerate(there):
             own = rows[index == place]
-            name, known = f"{base} {KINDS[kind]}" if len(there) > 1 else base, {one.name for one in groups}
+            name, known = f"{base} {KINDS[kind]}" if len(there) > 1 else base, {group.name for group in groups}
             name = name if name not in known else f"{name} {len(groups)}"
             part[own] = len(groups)
             groups.append(AttirePart(name, KINDS[kind], len(own), round(float(sure[own].mean()), 2)))
     return tuple(groups), part
 
 
-def _corrected(parts: tuple[AttirePart, ...], told: Mapping[str, str], label: str) -> tuple[AttirePart, ...]:
-    """``parts`` with the kinds that were ``told``."""
+def _corrected(parts: tuple[AttirePart, ...], corrections: Mapping[str, str], label: str) -> tuple[AttirePart, ...]:
+    """``parts`` with the kinds that ``corrections`` has by their names."""
     names = [part.name for part in parts]
-    for name, kind in told.items():
+    for name, kind in corrections.items():
         if name not in names:
             known, cure = ", ".join(names[:40]), did_you_mean(name, names, "GET /avatars/ID lists the parts.")
             raise NotFound(f"{label}: part", expected=f"one of {known}", got=name[:60], cure=cure)
         if kind not in KINDS:
             cure = did_you_mean(kind, KINDS, "Correct the kind.")
             raise NotFound(f"{label}: {name}", expected=f"one of {', '.join(KINDS)}", got=kind[:40], cure=cure)
-    return tuple(part._replace(kind=told[part.name], sure=TOLD) if part.name in told else part for part in parts)
+    return tuple(
+        part._replace(kind=corrections[part.name], sure=TOLD) if part.name in corrections else part for part in parts
+    )

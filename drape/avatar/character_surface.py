@@ -26,8 +26,12 @@ PLAIN = (0.8, 0.8, 0.8, 1.0)
 
 
 def moving_character(payload: bytes, motion: RigMotion, scale: float) -> list[MovingGarment]:
-    """Each primitive of the character in the file ``payload``, in the T-pose and then over ``motion``, whose skeleton
-    is the file's or that of one that it was made from; ``scale``: metres per unit."""
+    """Returns each primitive of the character in the file ``payload`` as a mesh that moves, with its materials: float32
+    vertices (F + 1, V, 3) [m] in the world, in the T-pose and then in the F frames of ``motion``.
+
+    ``motion`` is on the skeleton of this file, or of the file that this one was made from. ``scale``: metres per unit
+    of the file. A primitive none of whose triangles has corners apart is left out.
+    """
     file, garments = GltfFile(payload), list[MovingGarment]()
     place = {node: number for number, node in enumerate(tree_of(file)[0])}
     nodes = file.document.nodes

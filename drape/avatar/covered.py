@@ -30,10 +30,10 @@ MARGIN_M = 0.03  # from all that is bare, and from hems and openings: cloth move
 
 
 class PrimitiveFaces(NamedTuple):
-    """The triangles of a ``primitive`` that garments cover, and those that are taken off.
+    """Triangles of one ``primitive`` of a character's file: those that garments cover, and those that are taken off.
 
     ``ranges`` (n, 2) are runs of covered triangles, and ``hidden`` (n, 2) runs of triangles taken off. A run is the
-    number of its first triangle and how many there are.
+    index of its first triangle in the primitive, and their number.
     """
 
     primitive: Primitive
@@ -49,11 +49,12 @@ def covered_faces(
     out_m: float = INSIDE_M,
     margin_m: float = MARGIN_M,
 ) -> np.ndarray:
-    """Returns which ``faces`` (F,) bool of a character lie wholly under its garments.
+    """Returns the mask (F,) bool of the ``faces`` (F, 3) of a character that lie wholly under one of its garments.
 
-    ``vertices`` [m] (V, 3) are the character's; ``garments`` has vertices [m] (Vg, 3) and faces (Fg, 3) of each garment
-    in the same pose. Such a face lies below the cloth, or stands out of it by at most ``out_m`` [m], and is
-    ``margin_m`` [m] or more from all that is not under it.
+    ``vertices`` [m] (V, 3) are the character's. ``garments`` has vertices [m] (Vg, 3) and faces (Fg, 3) of each garment
+    in the same pose and frame. A covered face lies below the cloth, or stands out of it by less than ``out_m`` [m]. It
+    is more than ``margin_m`` [m] away from the cloth's borders and from all of the character that is not under the
+    cloth.
     """
     points, owner = points_on(np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64))
     covered = np.zeros(len(faces), dtype=bool)
@@ -72,11 +73,12 @@ def covered_in_file(
     off: np.ndarray | None = None,
     margin_m: float = MARGIN_M,
 ) -> tuple[np.ndarray, list[PrimitiveFaces]]:
-    """Returns the covered faces (F,) bool of a wearer that is ``stored``, and the triangles of its file that they and
-    the faces ``off`` (F,) are, primitive by primitive.
+    """Returns the mask (F,) bool of a wearer's covered faces, and of each primitive of its file the triangles that are
+    covered and those that are taken off.
 
-    ``vertices``, ``faces``, ``garments`` and ``margin_m`` are those of ``covered_faces``. Faces that are taken ``off``
-    do not count as covered. Raises ``BodyError`` as ``load_file_rig`` does.
+    ``stored`` is the wearer's stored file. ``vertices``, ``faces``, ``garments`` and ``margin_m`` are those of
+    ``covered_faces``. ``off`` (F,) bool marks the faces that are taken off, none by default; they do not count as
+    covered. Raises ``BodyError`` as ``load_file_rig`` does.
     """
     rig = load_file_rig(stored)
     off = np.zeros(len(faces), dtype=bool) if off is None else off
@@ -91,7 +93,8 @@ def covered_in_file(
 
 
 def ranges_of(chosen: np.ndarray) -> np.ndarray:
-    """The runs (n, 2) of what is ``chosen`` (F,): where each begins, and how long it is."""
+    """Returns the runs (n, 2) of consecutive True in ``chosen`` (F,) bool: the index at which each begins, and its
+    length."""
     steps = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
     return np.stack([steps[::2], steps[1::2] - steps[::2]], axis=1)
 
@@ -108,8 +111,11 @@ def _under(points: np.ndarray, cloth: np.ndarray, faces: np.ndarray, out_m: floa
 
 
 def points_on(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points [m] (n, 3) on ``faces``, at most ``SPACING_M`` apart, and the face (n,) of each: corners and middles of
-    triangles that are cut in four until they are small."""
+    """Returns points (n, 3) on ``faces`` (F, 3), at most ``SPACING_M`` apart, and the index (n,) of each one's face.
+    ``vertices`` are [m] (V, 3).
+
+    The points are corners and middles of triangles that are cut in four until they are small.
+    """
     corners, owner = vertices[faces], np.arange(len(faces))
     points, owners = [], []
     while len(corners):

@@ -40,8 +40,10 @@ POSES = (REST, ARMS_DOWN, SQUAT, STRIDE, REACH)
 
 
 def covering(vertices: np.ndarray, weights: np.ndarray, joints: np.ndarray, pose: TPose, body: BodyModel) -> np.ndarray:
-    """Returns ``vertices`` [m] (Vb, 3) of a skin, brought out to all of the character in ``pose``, in the same frame,
-    that stands out of it. The skin has ``weights`` (Vb, 24) on ``joints`` [m] (24, 3).
+    """Returns the ``vertices`` [m] (Vb, 3) of a skin, moved out along its normals until the character in ``pose``
+    stands out of it no more, in the T-pose and in the other ``POSES``. Heads, hands and feet do not count.
+
+    The skin has the faces of ``body``, and ``weights`` (Vb, 24) on ``joints`` [m] (24, 3), in the frame of ``pose``.
     """
     counted, own, theirs = counted_vertices(pose), parts_of(body.weights), parts_of(pose.weights)
     umbrella = mesh_graphs.umbrella_laplacian(body.faces, len(vertices))
@@ -78,8 +80,8 @@ def covering(vertices: np.ndarray, weights: np.ndarray, joints: np.ndarray, pose
 
 
 def rotvecs(angles_deg: Mapping[str, tuple[float, float, float]]) -> np.ndarray:
-    """Returns the rotation vectors [rad] (24, 3) of a pose whose joints turn by ``angles_deg``, by their names; others
-    do not turn."""
+    """Returns the pose, rotation vectors [rad] (24, 3), whose joints have the rotation vectors ``angles_deg`` [degrees]
+    by their names. The other joints do not turn."""
     found = np.zeros((JOINT_COUNT, 3))
     for name, angles in angles_deg.items():
         found[JOINT_NAMES.index(name)] = np.radians(angles)

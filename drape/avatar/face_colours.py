@@ -17,8 +17,8 @@ SHARES = np.array([[1 / 3, 1 / 3, 1 / 3], [0.6, 0.2, 0.2], [0.2, 0.6, 0.2], [0.2
 
 
 def face_colours(file: GltfFile, primitives: tuple[Primitive, ...]) -> np.ndarray:
-    """The mean colours (T, 3), sRGB in [0, 1], of the triangles of ``primitives`` one after the other; a material that
-    says nothing, and what is cut out of a picture, is light grey."""
+    """Returns the mean colours (T, 3), sRGB in [0, 1], of the T triangles of ``primitives`` of ``file``, one primitive
+    after the other. A triangle whose material has no look is light grey."""
     held = [texture_of(file, primitive) for primitive in primitives]
     used = sorted({material for _, material in held if material is not None})
     looks, _ = gltf_looks(file, list(used))
@@ -39,7 +39,9 @@ def face_colours(file: GltfFile, primitives: tuple[Primitive, ...]) -> np.ndarra
 
 
 def texture_of(file: GltfFile, primitive: Primitive) -> tuple[np.ndarray, int | None]:
-    """The texture coordinates (F, 3, 2) of a primitive's triangles, zero where it has none, and its material."""
+    """Returns the texture coordinates (F, 3, 2) of the corners of a primitive's triangles, with the origin at the upper
+    left, and the index of its material, None where it has none. The coordinates are zero where the file has none that
+    fit."""
     mesh = file.item("meshes", file.document.nodes[primitive.node].mesh)
     part = mesh.primitives[primitive.primitive]
     count = primitive.triangles

@@ -49,22 +49,24 @@ NEITHER = Halves(False, False)
 
 
 def joined_halves(halves: Sequence[Halves]) -> Halves:
-    """The halves on which one at least of ``halves`` says that garments lie."""
+    """Returns the halves on which garments lie by at least one of ``halves``."""
     return Halves(any(one.upper for one in halves), any(one.lower for one in halves))
 
 
 def halves_of(garments: Iterable[Garment], body: BodyModel) -> Halves:
-    """The halves of the standard ``body`` on which ``garments`` lie, by the bones of the skin next to them."""
+    """Returns on which halves of the standard ``body`` the ``garments`` lie, by the bones of the skin next to them."""
     return halves_by([skin_next_to(garment, body) for garment in garments], body)
 
 
 def skin_next_to(garment: Garment, body: BodyModel) -> np.ndarray:
-    """The vertex (V,) of ``body`` that is nearest to each delivered one of a ``garment`` at rest."""
+    """Returns the index (V,) of the vertex of ``body`` nearest to each of the V delivered vertices of ``garment`` at
+    rest."""
     return nearest_vertices(garment.vertices[: garment.vertex_count].astype(np.float64), body.v_template)[1]
 
 
 def halves_by(nearest: Iterable[np.ndarray], body: BodyModel) -> Halves:
-    """``halves_of`` garments of which each has next to its vertices those of ``body`` in the rows ``nearest`` (V,)."""
+    """Returns on which halves of ``body`` garments lie. ``nearest`` has of each garment the indices (V,) that
+    ``skin_next_to`` returns."""
     bones = BONES[body.weights.argmax(axis=1)]
     upper = np.isin(bones, ["spine2", "spine3", "collar", "shoulder", "elbow", "neck"])
     lower = np.isin(bones, ["hip", "knee", "ankle", "foot"])
@@ -76,12 +78,12 @@ def halves_by(nearest: Iterable[np.ndarray], body: BodyModel) -> Halves:
 
 
 class Layers(NamedTuple):
-    """The layers of a character, each a mask (F,) of its faces.
+    """The layers of a character, each a mask (F,) bool of its faces.
 
-    ``body`` is its body, with clothes that are painted on it or lie flat on it; ``felt`` is what of it may lie under
-    garments of ours: no painted sleeves, which any garment on the arms takes off. ``lower`` are the other clothes of
-    the lower half. ``hollow`` are clothes without skin below, which stand for the skin. ``attire`` has the parts, in
-    which bulky ones are marked.
+    ``body`` is its body, with clothes that are painted on it or lie flat on it. ``felt`` is the part of ``body`` that
+    may lie under garments of ours: it has no painted sleeves, which any garment on the arms takes off. ``lower`` are
+    trousers and skirts that are not part of the body. ``hollow`` are clothes without skin below, which stand for the
+    skin. ``attire`` has the character's parts, in which bulky ones are marked.
     """
 
     body: np.ndarray
@@ -92,7 +94,7 @@ class Layers(NamedTuple):
 
 
 def layers_of(attire: Attire, pose: TPose) -> Layers:
-    """Returns the layers of a character in ``pose``, the kinds of whose faces ``attire`` knows."""
+    """Returns the layers of the character in ``pose``; ``attire`` has the kinds of its faces."""
     part = parts_of(pose.weights)[pose.faces[:, 0]]
     skin, clothes = attire.of_kinds(SKIN), attire.of_kinds(UPPER + LOWER)
     sewn = np.zeros(len(pose.vertices), dtype=bool)
@@ -135,7 +137,8 @@ def _without_skin(pose: TPose, rows: np.ndarray, skin: np.ndarray, group: np.nda
 
 
 def shrunk(pose: TPose, hollow: np.ndarray) -> TPose:
-    """``pose`` with its ``hollow`` faces (F,) moved in to where a skin would be."""
+    """Returns ``pose`` with the vertices of its ``hollow`` faces (F,) bool moved in by ``INSET_M``, where a skin would
+    be."""
     normals = meshes.vertex_normals(pose.vertices, pose.faces)
     rows = np.unique(pose.faces[hollow])
     vertices = pose.vertices.copy()
@@ -144,24 +147,25 @@ def shrunk(pose: TPose, hollow: np.ndarray) -> TPose:
 
 
 def taken_off(attire: Attire, halves: Halves) -> np.ndarray:
-    """Which faces (F,) garments on these ``halves`` take off; bulky things go with what is on the upper half."""
+    """Returns the mask (F,) bool of a character's faces that garments on these ``halves`` take off. Bulky parts go with
+    clothes of the upper half."""
     kinds = (UPPER if halves.upper else ()) + (LOWER if halves.lower else ())
     off = [part.kind in kinds or (part.bulky and halves.upper) for part in attire.parts]
     return np.array(off, dtype=bool)[attire.part]
 
 
 def tucked(attire: Attire, halves: Halves) -> np.ndarray:
-    """Returns which faces (F,) bool are tops that stay on under garments on these ``halves``, and end where these
-    begin: tops, if the garments lie on the lower half alone."""
+    """Returns the mask (F,) bool of a character's faces that are tucked into garments on these ``halves``: those of its
+    tops, if the garments lie on the lower half alone, otherwise none."""
     return attire.of_kinds(("top",)) & (halves.lower and not halves.upper)
 
 
 def bare_faces(body: BodyModel, vertices: np.ndarray, faces: np.ndarray, off: np.ndarray) -> np.ndarray:
-    """Returns which faces (Fb,) bool of a character's bare ``body`` are seen where the faces ``off`` (F,) of its
-    surface are gone.
+    """Returns the mask (Fb,) bool of the faces of a character's bare ``body`` that are seen where the faces ``off``
+    (F,) bool of its surface are gone.
 
-    ``vertices`` [m] (V, 3) and ``faces`` (F, 3) are that surface. A face of the body is seen if it lay below faces that
-    are gone, and no other face of the surface lies there.
+    ``vertices`` [m] (V, 3) and ``faces`` (F, 3) are that surface, in the frame of ``body``. A face of the body is seen
+    if it lay below faces that are gone, and no other face of the surface lies there.
     """
     middle = body.v_template[body.faces].mean(axis=1)
     if not off.any():
@@ -173,10 +177,10 @@ def bare_faces(body: BodyModel, vertices: np.ndarray, faces: np.ndarray, off: np
 
 
 def doubled_ends(body: BodyModel, weights: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Returns which faces (Fb,) bool of a character's bare ``body`` belong to a head, hands and feet that the character
-    has itself: beside these, those of the fitted body would be seen, in another size.
+    """Returns the mask (Fb,) bool of the faces of a character's bare ``body`` on a head, a hand or a foot that the
+    character still has itself. The fitted body's would be seen beside these, in another size.
 
-    ``weights`` (V, 24) are those of its surface, ``faces`` (F, 3) what stays of it.
+    ``weights`` (V, 24) are those of the character's surface, ``faces`` (F, 3) the faces of it that stay.
     """
     middle, own = body.v_template[body.faces].mean(axis=1), parts_of(body.weights)[body.faces[:, 0]]
     there = np.unique(parts_of(weights)[faces])
@@ -191,27 +195,29 @@ def doubled_ends(body: BodyModel, weights: np.ndarray, faces: np.ndarray) -> np.
 
 
 def sewn_to_ends(weights: np.ndarray, faces: np.ndarray, off: np.ndarray) -> np.ndarray:
-    """Returns which of the faces ``off`` (F,) bool of a character are one mesh with a head, hand or foot that stays:
-    painted on it, where the bare body is not drawn in their place.
+    """Returns the mask (F,) bool of those faces ``off`` (F,) bool of a character that are one piece of its mesh with
+    faces of the same head, hand or foot that stay. They are painted on it, and the bare body is not drawn in their
+    place.
 
-    ``weights`` (V, 24) are those of its surface, whose ``faces`` are (F, 3).
+    ``weights`` (V, 24) are those of the character's surface, whose ``faces`` are (F, 3).
     """
-    part, found = parts_of(weights)[faces[:, 0]], np.zeros(len(faces), dtype=bool)
+    part, sewn = parts_of(weights)[faces[:, 0]], np.zeros(len(faces), dtype=bool)
     for number, name in enumerate(PARTS):
         rows = np.flatnonzero(part == number)
         if plain_part(name) in ENDS and off[rows].any():
             piece = connected_components(faces[rows], len(weights))[faces[rows][:, 0]]
-            found[rows] = off[rows] & np.isin(piece, piece[~off[rows]])
-    return found
+            sewn[rows] = off[rows] & np.isin(piece, piece[~off[rows]])
+    return sewn
 
 
 def bare_colours(
     body: BodyModel, attire: Attire, vertices: np.ndarray, faces: np.ndarray, off: np.ndarray
 ) -> np.ndarray:
-    """Returns the colours (Vb, 3), sRGB, of a character's bare ``body`` where the faces ``off`` (F,) of its surface are
-    gone: its skin's, and at the hips those of trousers that stay on, which a coat hid as high as that.
+    """Returns the colours (Vb, 3), sRGB in [0, 1], of the vertices of a character's bare ``body``: the mean colour of
+    its skin, and at the hips the colours of trousers that stay on. A coat may have hidden these up to there.
 
-    ``vertices`` [m] (V, 3) and ``faces`` (F, 3) are that surface.
+    ``vertices`` [m] (V, 3) and ``faces`` (F, 3) are the character's surface, in the frame of ``body``. Its faces
+    ``off`` (F,) bool are gone.
     """
     colours = np.tile(np.asarray(attire.skin_colour), (body.vertex_count, 1))
     stay = np.flatnonzero(attire.of_kinds(("trousers",)) & ~off)

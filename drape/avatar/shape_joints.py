@@ -18,7 +18,7 @@ import numpy as np
 
 from drape.avatar.character import Character
 from drape.errors import MotionError
-from drape.motion.joint_names import CURE, with_trunk
+from drape.motion.joint_names import CURE, ancestors, with_trunk
 
 GROUND = 0.05  # of the height: skin below that stands on the floor
 FEW = 0.02  # of that skin: what moves less of it does not stand
@@ -39,19 +39,22 @@ LEAST_CONFIDENCE = 0.6
 
 @dataclass(frozen=True)
 class ShapeJoints:
-    """The node of each SMPL joint that was found, and how like a person's the places are, from 0 to 1."""
+    """The joints of a character by their positions: the node of each SMPL joint that was found, and how much the
+    positions are like a person's, from 0 to 1."""
 
     sources: dict[str, int]
     confidence: float
 
 
 def joints_by_shape(character: Character, *, label: str = "avatar") -> ShapeJoints:
-    """The joints of ``character`` by their places. Raises ``MotionError`` with what is missing of a person."""
+    """Returns the joints of ``character`` by the positions of its nodes. Raises ``MotionError``, which says what is
+    missing, for nodes that are no person's. ``label`` names the character there."""
     return _Reading(character, label).joints()
 
 
 def hanging_on(parents: Sequence[int], node: int) -> np.ndarray:
-    """Returns which nodes (N,) bool are ``node`` or hang below it; ``parents`` (N,) are -1 where there is none."""
+    """Returns the mask (N,) bool of ``node`` and the nodes below it. ``parents`` (N,) come before their children, -1
+    for none."""
     hangs = np.zeros(len(parents), dtype=bool)
     hangs[node] = True
     for other in range(node + 1, len(parents)):
@@ -104,16 +107,14 @@ class _Reading:
 
     # --- the tree ---
 
-    def _line(self, node: int) -> list[int]:
-        """``node`` and what is above it, up to the top."""
-        line = [node]
-        while self.parents[line[-1]] >= 0:
-            line.append(self.parents[line[-1]])
-        return line
+    def _way(self, top: int, end: int) -> list[int]:
+        """The nodes from ``top`` down to ``end``."""
+        line = ancestors(self.parents, end)
+        return line[: line.index(top) + 1][::-1]
 
     def _common(self, nodes: Sequence[int]) -> int:
         """The lowest node that holds all ``nodes``; -1 where they hang on several tops."""
-        lines = [self._line(node) for node in nodes]
+        lines = [ancestors(self.parents, node) for node in nodes]
         return next((node for node in lines[0] if all(node in line for line in lines[1:])), -1)
 
     def _lengths(self, *nodes: int) -> list[float]:
@@ -151,11 +152,11 @@ class _Reading:
         if len(tops) != 2 or not all(plain):
             limbs = f"{len(tops)} limbs that do" if all(plain) else "limbs that part again above their feet"
             raise self._refused("two legs that stand on the floor", limbs)
-        return fork, tops, [max(foot, key=lambda node: len(self._line(node))) for foot in feet]
+        return fork, tops, [max(foot, key=lambda node: len(ancestors(self.parents, node))) for foot in feet]
 
     def _leg(self, top: int, foot: int) -> tuple[tuple[int, int, int], float]:
         """Hip, knee and ankle on the way from ``top`` to ``foot``, and how unlike a person's they are."""
-        way = self._line(foot)[: self._line(foot).index(top) + 1][::-1]
+        way = self._way(top, foot)
         highest = self.places[way, 1].max()
         best, least = None, np.inf
         for hip, knee, ankle in combinations(way, 3):
@@ -200,12 +201,12 @@ class _Reading:
         chest = self._common(tips)
         if chest < 0 or chest in tips:
             raise self._refused("two arms", "none")
-        tops = [next(node for node in self._line(tip) if self.parents[node] == chest) for tip in tips]
+        tops = [next(node for node in ancestors(self.parents, tip) if self.parents[node] == chest) for tip in tips]
         return chest, tops, tips
 
     def _arm(self, top: int, tip: int, middle: np.ndarray, across: np.ndarray) -> tuple[tuple[int, int, int], float]:
         """Shoulder, elbow and wrist on the way from ``top`` to ``tip``, and how unlike a person's they are."""
-        way = self._line(tip)[: self._line(tip).index(top) + 1][::-1]
+        way = self._way(top, tip)
         best, least, bare = None, np.inf, np.inf
         for shoulder, elbow, wrist in combinations(way, 3):
             upper, fore = (
@@ -250,8 +251,8 @@ class _Reading:
         """Neck and head: on the way from ``chest``, or from below it, up to the highest skin."""
         taken = np.any([self._below(top) for top in limbs], axis=0)
         crown = int(np.where(taken[self.owner], -np.inf, self.skin[:, 1]).argmax())
-        line = self._line(int(self.owner[crown]))
-        trunk = self._line(chest)
+        line = ancestors(self.parents, int(self.owner[crown]))
+        trunk = ancestors(self.parents, chest)
         way = line[: next((k for k, node in enumerate(line) if node in trunk), 0)][::-1]
         if not way or self.skin[crown, 1] <= self.places[chest, 1]:
             return {}

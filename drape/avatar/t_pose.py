@@ -23,10 +23,11 @@ ADULT_HEIGHT_M = 1.7  # of what is no person's height in any unit
 
 @dataclass(frozen=True, eq=False)
 class TPose:
-    """A character in T-pose, y up, facing +z, the lowest point of its skin at 0.
+    """A character in T-pose, y up, facing +z, its pelvis at x = z = 0 and the lowest point of its skin at y = 0.
 
-    ``vertices`` [m] (V, 3), ``faces`` (F, 3), ``weights`` (V, 24) of the joints; ``joints`` [m] (24, 3), NaN where the
-    character has none; ``scale`` its unit in metres; ``height_m`` of what is skinned.
+    Its surface has ``vertices`` [m] (V, 3), ``faces`` (F, 3) and ``weights`` (V, 24) on SMPL's joints. ``joints`` [m]
+    (24, 3) are NaN where the character has none. ``scale``: metres per unit of its file. ``height_m``: that of its
+    skinned surface.
     """
 
     vertices: np.ndarray
@@ -37,12 +38,12 @@ class TPose:
     height_m: float
 
     def only(self, chosen: np.ndarray) -> TPose:
-        """The pose with no other faces than those that are ``chosen`` (F,)."""
+        """Returns the pose with the faces ``chosen`` (F,) bool alone; it keeps all vertices."""
         return replace(self, faces=self.faces[chosen])
 
 
 def t_posed(character: Character, rig: Rig) -> TPose:
-    """``character``, whose ``rig`` is known, in T-pose."""
+    """Returns ``character`` in T-pose. ``rig`` says which of its nodes are its joints."""
     undone = np.swapaxes(rig.alignment, -1, -2)
     number = {rig.sources[name]: joint for joint, name in enumerate(JOINT_NAMES) if name in rig.sources}
     owner = np.zeros(len(character.names), dtype=np.int64)

@@ -32,7 +32,7 @@ class Reach(NamedTuple):
 
 
 def reach_of(garment: Garment, body: BodyModel) -> Reach:
-    """The reach of a ``garment`` of the standard ``body``."""
+    """Returns where ``garment``, which is made for the standard ``body``, lies on it."""
     nearest = skin_next_to(garment, body)
     near = BONES[body.weights.argmax(axis=1)][nearest]
     legs = (near == "knee").mean() > LEAST_SHARE
@@ -44,8 +44,8 @@ def reach_of(garment: Garment, body: BodyModel) -> Reach:
 
 
 def legs_thickness(body: BodyModel) -> float:
-    """How thick the shin of ``body`` is, twice the median distance of its skin from the bone, over the length of the
-    leg; 0 where it has none."""
+    """Returns how thick the legs of ``body`` are for their length: twice the median distance of a shin's skin from its
+    bone, over the length of the leg. It is 0 where the body has no skin there."""
     joints = body.joints_template
     along, length = joints[ANKLE] - joints[KNEE], np.linalg.norm(joints[ANKLE] - joints[KNEE])
     own = body.v_template[body.weights.argmax(axis=1) == KNEE] - joints[KNEE]
@@ -57,8 +57,8 @@ def legs_thickness(body: BodyModel) -> float:
 
 
 def why_not(body: BodyModel, reach: Reach, *, garment: str) -> BodyError | None:
-    """Returns the refusal of a ``garment`` of this ``reach`` for ``body``, which is laid on a character; None if the
-    character can wear it."""
+    """Returns the refusal of the garment called ``garment``, which has this ``reach``, for a character whose ``body``
+    this is; None if the character can wear it."""
     limit = THICKEST if reach.legs else STOUTEST
     thickness = legs_thickness(body) if reach.legs or reach.halves.lower else 0.0
     if thickness <= limit:

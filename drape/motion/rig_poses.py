@@ -70,7 +70,7 @@ class Rig:
     rest_translations: np.ndarray
     t_pose_joints: np.ndarray = field(default_factory=lambda: CANONICAL_JOINTS)
     label: str = "rig"
-    told: Mapping[str, int] = field(default_factory=dict)
+    nodes: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         count = len(self.names)
@@ -93,9 +93,9 @@ class Rig:
     @cached_property
     def sources(self) -> dict[str, int]:
         """The node of each SMPL joint that the rig has."""
-        if is_whole(self.told):
-            return dict(self.told)
-        return {**match_joints(self.names, self.parents, label=self.label), **self.told}
+        if is_whole(self.nodes):
+            return dict(self.nodes)
+        return {**match_joints(self.names, self.parents, label=self.label), **self.nodes}
 
     @cached_property
     def rest_world(self) -> np.ndarray:

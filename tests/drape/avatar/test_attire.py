@@ -47,7 +47,7 @@ def told(payload: bytes, body: BodyModel, kinds: dict[str, str] | None = None) -
     pose = t_posed(character, mapped(character.skinned, body).rig)
     assert character.triangle is not None
     colours = face_colours(file, character.primitives)[character.triangle]
-    return attire_of(file, character, pose, colours, told=kinds), character.triangle
+    return attire_of(file, character, pose, colours, corrections=kinds), character.triangle
 
 
 def share_right(attire: Attire, triangle: np.ndarray, parts: list[Worn]) -> float:

@@ -80,10 +80,10 @@ def with_twist(found: Character, node: int, end: int) -> Character:
 def test_what_is_told_wins_over_places(body: BodyModel):
     found = nameless(character_in(GltfFile(character(body))))
     spine = found.names[joints_by_shape(found).sources["spine2"]]
-    got = mapped(found, body, told={"spine3": spine})
+    got = mapped(found, body, joints={"spine3": spine})
     assert got.by == "shape" and found.names[got.rig.sources["spine3"]] == spine
     whole = {joint: found.names[node] for joint, node in got.rig.sources.items()}
-    again = mapped(found, body, told=whole)
+    again = mapped(found, body, joints=whole)
     assert again.by == "told" and again.rig.sources == got.rig.sources
 
 

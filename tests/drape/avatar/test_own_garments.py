@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import drape
-from drape.avatar.attire_words import CLOTHES
 from drape.avatar.own_clothes import Halves, halves_of
 from drape.avatar.own_garments import (
     BURIED_M,
+    KINDS,
     OWN,
     OwnGarments,
     _buried,
@@ -118,7 +118,7 @@ def test_clothes_of_the_skins_own_mesh_are_painted_on_it(wearer: Wearer, file: b
     chest = wearer.vertices[wearer.faces].mean(axis=1)[:, 1] > wearer.body.joints_template[SPINE.argmax(), 1]
     part[(part == skin) & chest] = len(wearer.attire.parts)
     painted = wearer.attire.parts[skin]._replace(kind="outer", name="painted")
-    others = [one._replace(kind="shoes" if one.kind in CLOTHES else one.kind) for one in wearer.attire.parts]
+    others = [one._replace(kind="shoes" if one.kind in KINDS else one.kind) for one in wearer.attire.parts]
     attire = wearer.attire._replace(parts=(*others, painted), part=part)
     found = own_garments(file, replace(wearer, attire=attire))
     assert found.stiff["painted"] == "It is painted on the skin, or one mesh with it."

@@ -115,12 +115,12 @@ def test_a_damaged_file_or_that_of_another_body_is_refused(worn: Wearer, body: B
 def test_a_joint_that_is_told_counts(body: BodyModel):
     found = character_in(GltfFile(character(body)))
     told = {"spine3": "mixamorig:Spine1"}
-    rig = mapped(found, body, told=told).rig
+    rig = mapped(found, body, joints=told).rig
     assert found.names[rig.sources["spine3"]] == "mixamorig:Spine1"
     with pytest.raises(NotFound, match="joint"):
-        mapped(found, body, told={"tail": "mixamorig:Spine1"})
+        mapped(found, body, joints={"tail": "mixamorig:Spine1"})
     with pytest.raises(NotFound, match="a node"):
-        mapped(found, body, told={"spine3": "Spine9"})
+        mapped(found, body, joints={"spine3": "Spine9"})
 
 
 def test_bones_of_no_person_are_refused(body: BodyModel):

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from drape.avatar.affine_maps import compose
 from drape.avatar.character import tree_of
-from drape.avatar.distilled import DrapedClip, distil, pelvis_places, to_world
+from drape.avatar.distilled import DrapedClip, distil, pelvis_places
 from drape.avatar.joint_file import Jointed
 from drape.avatar.joint_springs import JointSprings, fit_springs, leg_capsules, sunk
 from drape.avatar.rig_motion import RigClip, rig_motion
@@ -24,7 +24,7 @@ from drape.errors import InputError
 from drape.files.gltf import GltfFile
 from drape.garment.cache import Garment
 from drape.motion.spring_bones import Capsules, Springs
-from tests.drape.avatar.test_joint_file import COLOUR, FRAMES, swaying
+from tests.drape.avatar.test_joint_file import COLOUR, FRAMES, swaying, to_world
 from tests.fixtures.characters import character, with_json
 from tests.fixtures.glb_reader import Reader, khronos_complaints
 from tests.fixtures.poses import smooth_motion
