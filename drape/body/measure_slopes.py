@@ -15,8 +15,8 @@ from drape.geometry import meshes
 
 
 def measure_slopes(body: BodyModel, betas: np.ndarray) -> np.ndarray:
-    """Returns the derivatives [m per unit of betas] (8, S) of the ``Measures`` of ``body``, in their order, at the
-    shape ``betas`` (S,)."""
+    """Returns the derivatives (8, S) of the ``Measures`` of ``body``, in their order, by its shape coefficients at the
+    shape ``betas`` (S,): [m] and, of the weight, [kg] per standard deviation."""
     place, vertices, moved = landmarks(body), body.rest_vertices(betas), body.shapedirs
     by_level = np.array([place.levels(moved[..., k]) for k in range(body.shape_count)]).T  # they are linear in vertices
     girths = zip(place.levels(vertices), by_level, strict=True)

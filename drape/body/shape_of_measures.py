@@ -29,8 +29,8 @@ STEPS, DONE = 12, 1e-4  # at most so many; a shape that changes less is found
 
 
 class FoundShape(NamedTuple):
-    """A shape ``betas`` (S,) and the measures that it ``reached``. ``missed`` says by how much [m, kg] a measure lies
-    above (positive) or below what was asked, for those that are off by more than ``MISSED``."""
+    """A shape ``betas`` (S,) and the measures that it ``reached``. ``missed`` has, by name, how far [m, kg] a measure
+    lies above (positive) or below the wanted one, where that is more than ``MISSED``."""
 
     betas: np.ndarray
     reached: Measures
@@ -38,11 +38,11 @@ class FoundShape(NamedTuple):
 
 
 def shape_of_measures(body: BodyModel, asked: Mapping[str, float], *, limit: float = LIMIT) -> FoundShape:
-    """The likeliest shape of ``body`` that has the measures ``asked``, by their names in ``Measures``.
+    """Returns the likeliest shape of ``body`` that has the measures ``wanted`` [m, kg], by their names in ``Measures``.
 
-    A measure that is left out gets its likeliest value beside those that are given. Refuses (``BodyError``) none at
-    all, unknown names, and a measure that no shape within ``limit`` standard deviations has. Measures that exclude each
-    other are not refused: what was missed is told.
+    A measure that is left out gets its likeliest value beside those that are given. Raises ``BodyError`` for no measure
+    at all, an unknown name, and a measure that no shape within ``limit`` standard deviations has. Measures that exclude
+    each other are no error: the result says what is ``missed``.
     """
     from scipy.optimize import lsq_linear  # a tenth of a second, which a start need not wait for
 
@@ -65,7 +65,8 @@ def shape_of_measures(body: BodyModel, asked: Mapping[str, float], *, limit: flo
 
 @lru_cache(maxsize=8)
 def measure_ranges(body: BodyModel, limit: float = LIMIT) -> dict[str, tuple[float, float]]:
-    """The least and the largest of each measure by its name, of shapes with |b| <= ``limit``.
+    """Returns the least and the largest value [m, kg] of each measure, by its name, of shapes of ``body`` within
+    ``limit`` standard deviations.
 
     They lie along the slope at the mean shape, since measures are nearly linear.
     """
