@@ -13,7 +13,8 @@ from drape.motion.node_clip import MovingNodes, file_bytes, node_clip
 
 
 def read_fbx_motion(path: Path, *, clip: str | None = None) -> MotionClip:
-    """The animation called ``clip`` in an FBX file, its longest if none is named, at the file's rate.
+    """Returns the animation called ``clip`` in an FBX file, its longest if none is named, at the file's rate and
+    retargeted to the 24 SMPL joints.
 
     Raises ``MotionError`` where there is none of a person, and where ufbx is not installed.
     """

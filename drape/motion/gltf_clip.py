@@ -25,23 +25,22 @@ WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 
 
 class ChannelTarget(Part):
-    """The target of a channel: the ``node`` that it moves, and the ``path``: translation, rotation, scale or
-    weights."""
+    """What a channel animates: the ``path`` (translation, rotation, scale or weights) of a ``node``."""
 
     node: Index | None = None
     path: Text
 
 
 class Channel(Part):
-    """A channel of an animation."""
+    """A channel of an animation: the index of its sampler, and what it animates."""
 
     sampler: Index
     target: ChannelTarget
 
 
 class Sampler(Part):
-    """The accessors of a channel's keys: ``input`` their times, ``output`` their values; ``interpolation`` says how
-    values lie between them."""
+    """The keys of a channel: the accessors ``input`` of their times [s] and ``output`` of their values.
+    ``interpolation`` says how values lie between them."""
 
     input: Index
     output: Index
@@ -49,7 +48,7 @@ class Sampler(Part):
 
 
 class Animation(Part):
-    """An animation of nodes."""
+    """An animation of nodes: its channels, and their samplers."""
 
     name: Text = ""
     channels: Annotated[list[Channel], FIRST_ONLY]
@@ -60,7 +59,8 @@ Keys = tuple[np.ndarray, np.ndarray, str]  # times (K,) [s], values (K, n) and w
 
 
 def read_gltf_motion(path: Path, *, clip: str | None = None) -> MotionClip:
-    """The animation called ``clip`` in a GLB, glTF, VRM or VRMA file, its longest if none is named.
+    """Returns the animation called ``clip`` in a GLB, glTF, VRM or VRMA file, its longest if none is named, retargeted
+    to the 24 SMPL joints.
 
     Nodes are joints by VRM's bones where the file has them, else by their names. Raises ``MotionError`` for a file
     without an animation of a person.
@@ -83,7 +83,7 @@ def _animations(file: GltfFile, clip: str | None) -> list[Animation]:
     """The animations of ``file``, or those called ``clip``."""
     held = file.document.animations
     try:
-        animations = [Animation.model_validate(one) for one in held]
+        animations = list(map(Animation.model_validate, held))
     except ValidationError as error:
         first = error.errors()[0]
         got, place = f"{first['msg']}", ".".join(map(str, first["loc"]))
@@ -91,8 +91,8 @@ def _animations(file: GltfFile, clip: str | None) -> list[Animation]:
             f"{file.label}: animations.{place[:60]}", expected="a glTF animation", got=got, cure=EXPORT
         ) from error
     if clip is not None:
-        names = ", ".join(repr(one.name) for one in animations[:40])
-        animations = [one for one in animations if one.name == clip]
+        names = ", ".join(repr(animation.name) for animation in animations[:40])
+        animations = [animation for animation in animations if animation.name == clip]
         if not animations:
             raise MotionError(f"{file.label}: clip", expected=f"one of {names}", got=repr(clip)[:60], cure="Name one.")
     if not animations:

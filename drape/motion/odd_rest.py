@@ -40,10 +40,11 @@ _SPINE = ("spine1", "spine2", "spine3")
 def trunk_ends(
     rest: np.ndarray, parents: Sequence[int], sources: Mapping[str, int]
 ) -> tuple[dict[str, int], np.ndarray | None]:
-    """Returns for each joint of the trunk the file's joint that its bone points to, and the up direction (3,) of the
-    pelvis. ``rest`` are the joints' places (J, 3).
+    """Returns which joint of the file the bone of each spine joint points to, by SMPL's names of these, and the up
+    direction (3,) of the pelvis. ``rest`` (J, 3) are the joints' positions at rest.
 
-    A bent trunk is told bone by bone. A straight one is told from joint to joint of ours, and its up is None.
+    A bent trunk is measured from joint to joint of the file, and up is along its lowest bone. A straight one is
+    measured from joint to joint of SMPL's: up is None, and only spine joints on its topmost node have an end.
     """
     tops = [sources[name] for name in ("neck", "head", "spine3") if name in sources]
     top = next(joint for joint in tops if sources["spine3"] in ancestors(parents, joint))
@@ -74,9 +75,9 @@ def trunk_ends(
 
 
 def arms_across(rest: np.ndarray, sources: Mapping[str, int]) -> np.ndarray | None:
-    """Returns the line (3,) from the right arm to the left; None if the rest pose shows none.
+    """Returns the line (3,) from the right arm to the left at the positions ``rest`` (J, 3); None if there is none.
 
-    It joins the shoulders. If the collars do not point apart, it joins their own places, which turn with the chest.
+    It joins the shoulders. If the collars do not point apart, it joins their own positions, which turn with the chest.
     """
     left, right = (rest[sources[f"{side}_shoulder"]] for side in ("left", "right"))
     if "left_collar" in sources and "right_collar" in sources:
@@ -88,7 +89,8 @@ def arms_across(rest: np.ndarray, sources: Mapping[str, int]) -> np.ndarray | No
 
 
 def odd_limbs(rest: np.ndarray, sources: Mapping[str, int], alignment: np.ndarray) -> set[str]:
-    """Returns the names of the limbs' joints that no person holds as they are at the rest positions ``rest`` (J, 3)."""
+    """Returns the SMPL names of the joints of those limbs that no person holds as they are at the positions ``rest``
+    (J, 3). ``alignment`` (24, 3, 3) brings the T-pose onto that pose."""
     odd = set()
     for limb in [[f"{side}_{joint}" for joint in limb] for side in ("left", "right") for limb in _LIMBS]:
         for name in limb:
@@ -103,7 +105,8 @@ def odd_limbs(rest: np.ndarray, sources: Mapping[str, int], alignment: np.ndarra
 
 
 def tips_of(rest: np.ndarray, parents: Sequence[int], sources: Mapping[str, int]) -> dict[str, np.ndarray]:
-    """Unit directions (3,) of feet, toes, hands and head to the joints and ends they carry, at ``rest`` (J, 3)."""
+    """Returns the unit directions (3,) in which feet, toes, hands and head point at the positions ``rest`` (J, 3), by
+    SMPL's names of their joints: to the middle of the joints that they carry. What carries none is left out."""
     tips = {}
     for name in ("left_ankle", "right_ankle", "left_foot", "right_foot", "left_wrist", "right_wrist", "head"):
         carried = [k for k, parent in enumerate(parents) if parent == sources.get(name)]
@@ -114,12 +117,12 @@ def tips_of(rest: np.ndarray, parents: Sequence[int], sources: Mapping[str, int]
 
 
 def turn_tips(turned: np.ndarray, tips: Mapping[str, np.ndarray], alignment: np.ndarray, odd: set[str]) -> set[str]:
-    """Turns feet, toes, hands and head to where their ``tips`` point, in place; returns the names of the joints that it
-    turned.
+    """Turns feet, toes, hands and head to where their ``tips`` point, in ``turned`` and in ``alignment``, in place.
+    Returns the names of the joints that it turned.
 
-    ``turned`` (F, 24, 3, 3) are world rotations and ``alignment`` (24, 3, 3) those from the T-pose to the rest pose. A
-    joint that is not ``odd`` is left as it is, unless it is held both at rest and through the clip as no person holds
-    it.
+    ``turned`` (F, 24, 3, 3) are world rotations from the T-pose on, and ``alignment`` (24, 3, 3) brings the T-pose onto
+    the rest pose. A joint that is not ``odd`` is left as it is, unless both at rest and through the clip it is held as
+    no person holds it.
     """
     turned_limbs = set()
     for name, tip in tips.items():
@@ -136,12 +139,14 @@ def turn_tips(turned: np.ndarray, tips: Mapping[str, np.ndarray], alignment: np.
 
 
 def keep_mean_twists(
-    turned: np.ndarray, sources: Mapping[str, int], alignment: np.ndarray, odd: set[str], told: set[str]
+    turned: np.ndarray, sources: Mapping[str, int], alignment: np.ndarray, odd: set[str], tips: set[str]
 ) -> None:
-    """Turns joints of world rotations ``turned`` (F, 24, 3, 3) about their own bones as people keep them, in place.
+    """Turns joints of the world rotations ``turned`` (F, 24, 3, 3) about their own bones, in place, so that their mean
+    twist is one that people keep.
 
-    A trunk's mean twist is shared evenly between pelvis and chest, as far as the rest pose's lies between theirs. Limbs
-    that are ``odd`` at rest have a mean twist of zero; hands and toes that were not ``told`` go with what carries them.
+    Joints between pelvis and chest turn towards an even share of the mean twist between these two: by no more than the
+    rest pose's own twist, unless they lie far off. Limbs that are ``odd`` at rest get a mean twist of zero. Hands and
+    toes go with what carries them, unless they are among ``tips``, the joints that ``turn_tips`` turned.
     """
     up = np.array(BONE_DIRECTIONS["spine1"])
     twist = _mean_twist((alignment[0].T @ alignment[JOINT_INDEX["spine3"]])[None], up)
@@ -162,7 +167,7 @@ def keep_mean_twists(
             for leaf in range(joint + 1, JOINT_COUNT):
                 if PARENTS[leaf] == joint and JOINT_NAMES[leaf] not in sources:
                     turned[:, leaf] = turned[:, joint]
-                elif PARENTS[leaf] == joint and JOINT_NAMES[leaf] not in {*BONE_CHILD, *told}:
+                elif PARENTS[leaf] == joint and JOINT_NAMES[leaf] not in {*BONE_CHILD, *tips}:
                     turned[:, leaf] @= undo  # it shares its parent's alignment
 
 

@@ -36,17 +36,17 @@ _HEEL = np.array([0.0, -ANKLE_HEIGHT, -HEEL_BEHIND])
 
 
 def walk() -> MotionClip:
-    """Four strides of 1.1 s along +z at 0.9 m/s."""
+    """Returns a clip of four strides of 1.1 s along +z at 0.9 m/s."""
     return _gait("walk", cycle_s=1.1, cycle_count=4, stride=1.0, turn=0.0, height=0.893)
 
 
 def turn() -> MotionClip:
-    """Six strides of 1 s around a full circle to the left."""
+    """Returns a clip of six strides of 1 s around a full circle to the left."""
     return _gait("turn", cycle_s=1.0, cycle_count=6, stride=0.9, turn=2.0 * np.pi / 6.0, height=0.886)
 
 
 def reach() -> MotionClip:
-    """The right hand reaches up and forward, then the left out and down."""
+    """Returns a clip in which the right hand reaches up and forward, then the left out and down."""
     t = _times(5.0)
     up = _path(t, (0.3, 1.4, 1.9, 2.8), (0, 1, 1, 0))
     down = _path(t, (2.5, 3.5, 3.9, 4.8), (0, 1, 1, 0))
@@ -70,7 +70,7 @@ def reach() -> MotionClip:
 
 
 def squat() -> MotionClip:
-    """Two squats, arms swinging forward for balance."""
+    """Returns a clip of two squats, with arms that swing forward for balance."""
     t = _times(5.0)
     depth = _path(t, (0.3, 1.3, 1.5, 2.5), (0, 1, 1, 0)) + _path(t, (2.5, 3.5, 3.7, 4.7), (0, 1, 1, 0))
     root = np.stack([0 * depth, _STANDING_HEIGHT - 0.36 * depth, -0.13 * depth], axis=-1)
@@ -91,7 +91,7 @@ def squat() -> MotionClip:
 
 
 def stretch() -> MotionClip:
-    """Arms raised sideways over the head, then the trunk twists and bends to both sides."""
+    """Returns a clip in which arms are raised sideways over the head, then the trunk twists and bends to both sides."""
     t = _times(6.0)
     raised = _path(t, (0.2, 1.5, 4.6, 5.9), (0, 1, 1, 0))
     twist = _path(t, (1.4, 2.1, 3.0, 3.7), (0, 1, -1, 0))

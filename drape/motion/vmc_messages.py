@@ -38,7 +38,7 @@ for _side in ("Left", "Right"):
 
 
 class VmcPoses:
-    """The newest pose of one sender."""
+    """The newest pose of one sender of VMC messages. ``count`` is how many messages were used."""
 
     def __init__(self) -> None:
         self._turns: dict[str, np.ndarray] = {}
@@ -47,7 +47,8 @@ class VmcPoses:
         self.count = 0
 
     def take(self, address: str, values: Sequence[object]) -> bool:
-        """Keeps what a message says, if it is a turn of a bone or of the root. Returns whether it was."""
+        """Keeps what a message to ``address`` says, if it is the transform of a bone or of the root. Returns whether it
+        was."""
         name, *numbers = values[:8] or ("",)
         if len(numbers) != 7 or not all(isinstance(one, float) for one in numbers):
             return False
@@ -67,8 +68,8 @@ class VmcPoses:
         return True
 
     def pose(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """The pose (24, 3) [rad] and the place (3,) of the pelvis over the ground, in lengths of the sender's leg; None
-        until the sender has told all bones that a person needs."""
+        """Returns the SMPL pose (24, 3) [rad], and the position (3,) of the pelvis in the sender's world, y up from its
+        ground, as multiples of the length of the sender's leg; None until all bones that a person needs have come."""
         bones = tuple(name for name in _BONES if name in self._turns)
         if not is_whole(dict.fromkeys(("spine2", "spine3", *(_BONES[name] for name in bones)), 0)):
             return None
@@ -81,8 +82,8 @@ class VmcPoses:
         return rig_to_poses(_rig(bones), turns[None])[0], pelvis / leg_m
 
     def placed(self, rest_joints: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """The pose (24, 3) [rad] and SMPL's translation (3,) [m] of a body with joints ``rest_joints`` (24, 3) [m], on
-        the ground y = 0; None as ``pose``."""
+        """Returns the SMPL pose (24, 3) [rad] and the root translation [m] (3,) for a body with the rest joints
+        ``rest_joints`` [m] (24, 3) on the ground y = 0; None as ``pose``."""
         found = self.pose()
         return None if found is None else (found[0], found[1] * leg_length(rest_joints) - rest_joints[0])
 
