@@ -27,9 +27,8 @@ def add_body(
     trans: np.ndarray | None = None,
     fps: float = 30.0,
 ) -> None:
-    """Adds the body of shape ``betas`` to ``file``, with its 24 joints as a skeleton; it moves if ``poses`` and
-    ``trans`` are given.
-    """
+    """Adds the body of shape ``betas`` (S,) to ``file``, with its 24 joints as a skeleton. It is animated at ``fps``
+    frames a second if SMPL ``poses`` (F, 24, 3) [rad] and root translations ``trans`` [m] (F, 3) are given."""
     rest, joints = body.rest_vertices(betas), body.rest_joints(betas)
     first = len(file.json["nodes"])
     for joint, (name, parent) in enumerate(zip(JOINT_NAMES, PARENTS, strict=True)):
@@ -74,7 +73,8 @@ def add_body(
 
 
 def heaviest_bones(body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
-    """The four heaviest bones of each vertex, uint8 (V, 4), and their weights, float32, summing to one."""
+    """Returns the four heaviest bones of each vertex, uint8 (V, 4), and their weights (V, 4), float32, which sum to
+    one."""
     order = np.argsort(-body.weights, axis=1, kind="stable")[:, :4]
     weights = np.take_along_axis(body.weights, order, axis=1)
     weights = (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)

@@ -30,7 +30,7 @@ CHANNELS = {"base_colour": "sRGB", "normal": "raw", "metallic_roughness": "raw"}
 
 
 def check_usd() -> None:
-    """Refuses (``Unavailable``) where the package usd-core is not installed."""
+    """Raises ``Unavailable`` where the package usd-core is not installed."""
     _pxr("Usd")
 
 
@@ -43,8 +43,10 @@ def _pxr(name: str) -> Any:
 
 
 def usd_file(layers: Sequence[MovingGarment], fps: float, suffix: str, *, point: np.ndarray | None = None) -> bytes:
-    """The scene of ``layers`` as a file of the kind that ``suffix`` names; vertices count from ``point`` [m] (3,), the
-    origin by default. Raises ``Unavailable`` without usd-core."""
+    """Returns the bytes of a USD scene of ``layers``, ".usdc" or ".usdz" by its ``suffix``, at ``fps`` frames a second.
+
+    Vertices count from ``point`` [m] (3,), the origin by default. Raises ``Unavailable`` without usd-core.
+    """
     usd = _pxr("Usd")
     with tempfile.TemporaryDirectory(prefix="usd-") as folder:
         path = Path(folder) / "clip.usdc"

@@ -7,7 +7,8 @@ from pathlib import Path
 
 
 def file_beside(folder: Path | None, wanted: str, *, most_bytes: int) -> bytes | None:
-    """The file ``wanted`` in or below ``folder``; None where it is not there, or has more than ``most_bytes``."""
+    """Returns the bytes of the file ``wanted`` in or below ``folder``; None where it is not there, or has more than
+    ``most_bytes``."""
     if folder is None:
         return None
     path = folder / wanted.replace("\\", "/")

@@ -34,12 +34,11 @@ MAPS = {
 _KEPT: list[Any] = []
 
 
-def _of(one: Any, *names: str | int) -> Any:
-    """An attribute, or an item, of an attribute of ``one``, with all on the way to it kept."""
-    for name in names:
-        one = one[name] if isinstance(name, int) else getattr(one, name)
-        _KEPT.append(one)
-    return one
+def _of(owner: Any, name: str | int) -> Any:
+    """The attribute ``name``, or the item of that number, of ``owner``. It is kept."""
+    value = owner[name] if isinstance(name, int) else getattr(owner, name)
+    _KEPT.append(value)
+    return value
 
 
 def _all(held: Any) -> list[Any]:
@@ -47,7 +46,8 @@ def _all(held: Any) -> list[Any]:
 
 
 def main() -> None:
-    """Ends with status 3 where ufbx says what is wrong; that is on standard output then."""
+    """Writes the npz to standard output and ends the process with status 0. Where ufbx cannot read the file it writes
+    why, and ends with status 3."""
     gc.disable()
     resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S + 1))
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
@@ -70,7 +70,7 @@ def main() -> None:
             target_unit_meters=1.0,
         )
         _KEPT.append(scene)
-        np.savez(out, allow_pickle=False, **(_motion(scene, *sys.argv[2:3]) if moving else _told(scene)))
+        np.savez(out, allow_pickle=False, **(_motion(scene, *sys.argv[2:3]) if moving else _contents(scene)))
     except (ufbx.UfbxError, MemoryError, ValueError) as error:
         out, status = io.BytesIO(f"{type(error).__name__.removesuffix('Error')}: {error}"[:200].encode()), 3
     sys.stdout.buffer.write(out.getbuffer())
@@ -78,7 +78,7 @@ def main() -> None:
     os._exit(status)
 
 
-def _told(scene: Any) -> dict[str, np.ndarray]:
+def _contents(scene: Any) -> dict[str, np.ndarray]:
     """The arrays of the visible meshes, the pictures, and as JSON what names and numbers there are."""
     materials, textures = _all(_of(scene, "materials")), list[Any]()
     arrays: dict[str, np.ndarray] = {}
@@ -107,7 +107,7 @@ def _told(scene: Any) -> dict[str, np.ndarray]:
         "materials": looks,
         "pictures": files,
     }
-    return arrays | {"told": np.frombuffer(json.dumps(description).encode(), dtype=np.uint8)}
+    return arrays | {"description": np.frombuffer(json.dumps(description).encode(), dtype=np.uint8)}
 
 
 def _motion(scene: Any, clip: str | None = None) -> dict[str, np.ndarray]:
@@ -130,12 +130,16 @@ def _motion(scene: Any, clip: str | None = None) -> dict[str, np.ndarray]:
     anim = _of(longest, "anim")
     for number, node in enumerate(nodes):
         for frame in range(frames):
-            told = ufbx.evaluate_transform(anim, node, longest.time_begin + frame / rate)
-            moves[frame, number] = [*told.translation, *told.rotation, *told.scale]
-            _KEPT.append(told)
+            placed = ufbx.evaluate_transform(anim, node, longest.time_begin + frame / rate)
+            moves[frame, number] = [*placed.translation, *placed.rotation, *placed.scale]
+            _KEPT.append(placed)
     rest = np.array([np.array(_of(node, "node_to_world"), dtype=np.float64).T for node in nodes])
-    told = {"names": [node.name for node in nodes], "parents": parents, "fps": rate}
-    return {"moves": moves, "rest": rest, "told": np.frombuffer(json.dumps(told).encode(), dtype=np.uint8)}
+    description = {"names": [node.name for node in nodes], "parents": parents, "fps": rate}
+    return {
+        "moves": moves,
+        "rest": rest,
+        "description": np.frombuffer(json.dumps(description).encode(), dtype=np.uint8),
+    }
 
 
 def _arrays(node: Any, mesh: Any) -> dict[str, np.ndarray]:

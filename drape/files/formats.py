@@ -13,9 +13,12 @@ HEAD_BYTES = 2048  # the beginning of a file, by which its format is known
 
 @dataclass(frozen=True)
 class MeshFormat:
-    """One format: its ``name``, which is the suffix of its files too, the media types that HTTP knows it by, the reader
-    as ``module.function`` in ``drape.garment.files``, whether a payload is of this format by its bytes, and whether it
-    names files beside it."""
+    """One format of garment files.
+
+    ``name`` is also the suffix of its files, and ``content_types`` are its media types. ``reader`` is the function that
+    reads it, as ``module.function`` in ``drape.garment.files``. ``fits`` says whether a payload is of this format by
+    its bytes. ``names_others``: such a file names files beside it.
+    """
 
     name: str
     content_types: tuple[str, ...]
@@ -76,11 +79,11 @@ MESH_CONTENT_TYPES: dict[str, str] = {kind: one.name for one in MESH_FORMATS for
 
 
 def listed() -> str:
-    """The names for a sentence: ``OBJ, GLB, GLTF, ..., USDZ or ZIP``."""
+    """Returns the names of all formats for a sentence: ``OBJ, GLB, GLTF, ..., USDZ or ZIP``."""
     *first, final = (name.upper() for name in MESH_NAMES)
     return f"{', '.join(first)} or {final}"
 
 
 def sniff(payload: bytes) -> MeshFormat:
-    """The format of a mesh by its bytes; the first of the table where nothing else fits."""
+    """Returns the format of a mesh by its bytes; OBJ, which has no mark of its own, where nothing else fits."""
     return next((one for one in MESH_FORMATS if one.fits(payload)), MESH_FORMATS[0])

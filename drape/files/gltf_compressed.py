@@ -28,9 +28,9 @@ def _library(name: str, label: str) -> Any:
 
 
 def draco_parts(payload: bytes, primitive: Primitive, label: str) -> dict[int, np.ndarray]:
-    """Rows (N, width) of each accessor of ``primitive`` that is in its Draco ``payload``."""
-    library, told = _library("DracoPy", label), primitive.extensions[DRACO]
-    ids = told.get("attributes")
+    """Returns the rows (N, width) of each accessor of ``primitive`` that its Draco ``payload`` has, by the accessor's
+    index. Raises ``MeshError`` where it cannot be unpacked, or DracoPy is not installed."""
+    library, ids = _library("DracoPy", label), primitive.extensions[DRACO].get("attributes")
     try:
         mesh = library.decode(payload)
         held = {one["unique_id"]: one["data"] for one in mesh.attributes}
@@ -49,11 +49,11 @@ def draco_parts(payload: bytes, primitive: Primitive, label: str) -> dict[int, n
     return arrays
 
 
-def meshopt_view(payload: bytes, told: dict[str, Any], label: str) -> bytes:
-    """Returns the unpacked bytes of a buffer view; ``told`` is the extension's entry, which says how meshoptimizer has
-    packed it."""
-    count, stride = (one if type(one := told.get(key)) is int else 0 for key in ("count", "byteStride"))
-    mode, filter_name = told.get("mode"), told.get("filter", "NONE")
+def meshopt_view(payload: bytes, entry: dict[str, Any], label: str) -> bytes:
+    """Returns the unpacked bytes of a buffer view. ``entry`` is that of the extension, which says how ``payload`` is
+    packed. Raises ``MeshError`` where it cannot be unpacked, or meshoptimizer is not installed."""
+    count, stride = (one if type(one := entry.get(key)) is int else 0 for key in ("count", "byteStride"))
+    mode, filter_name = entry.get("mode"), entry.get("filter", "NONE")
     wide = mode == "ATTRIBUTES"
     decode, sides = FILTERS.get(filter_name, ("", ())) if isinstance(filter_name, str) else ("", ())
     right = mode in ("ATTRIBUTES", "TRIANGLES", "INDICES") and 0 < count * stride <= MOST_BYTES

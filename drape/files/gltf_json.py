@@ -38,7 +38,8 @@ class Part(BaseModel):
 
 
 class Node(Part):
-    """A node: its transform is ``matrix``, column by column, or else the three others; ``rotation`` is x, y, z, w."""
+    """A node. Its transform is ``matrix``, column by column, or else made of ``translation``, ``rotation`` (a
+    quaternion xyzw) and ``scale``. Other fields are indices."""
 
     name: Text | None = None
     children: Indices = []
@@ -52,7 +53,8 @@ class Node(Part):
 
 
 class Primitive(Part):
-    """A primitive: accessors of its ``attributes`` and ``indices``; ``mode`` 4 are triangles."""
+    """A primitive of a mesh: the accessors of its ``attributes`` by their names, that of its ``indices``, and its
+    material. ``mode`` 4 is triangles."""
 
     attributes: dict[Text, Index]
     indices: Index | None = None
@@ -62,14 +64,14 @@ class Primitive(Part):
 
 
 class Mesh(Part):
-    """A mesh."""
+    """A mesh: its primitives."""
 
     name: Text | None = None
     primitives: Annotated[list[Primitive], FIRST_ONLY]
 
 
 class GltfSkin(Part):
-    """A skin: the nodes of its joints, and the accessor of their inverse bind matrices."""
+    """A skin: the nodes that are its joints, and the accessor of their inverse bind matrices."""
 
     joints: Indices
     inverse_bind_matrices: Index | None = None
@@ -107,19 +109,19 @@ class PlacedBones(Part):
 
 
 class Vrm(Part):
-    """A VRM 0."""
+    """The extension of a VRM 0."""
 
     humanoid: NamedBones
 
 
 class VrmcVrm(Part):
-    """A VRM 1."""
+    """The extension of a VRM 1 or a VRMA."""
 
     humanoid: PlacedBones
 
 
 class Extensions(Part):
-    """Extensions that say which node is which bone."""
+    """The extensions that say which node is which bone: of VRM 0, VRM 1 and VRMA."""
 
     vrm: Annotated[Vrm | None, Field(alias="VRM")] = None
     vrmc_vrm: Annotated[VrmcVrm | None, Field(alias="VRMC_vrm")] = None
@@ -127,7 +129,7 @@ class Extensions(Part):
 
     @property
     def humanoid(self) -> dict[str, int]:
-        """The nodes of VRM's bones, none where the file is no VRM and no VRMA."""
+        """The nodes of VRM's bones by the bones' names, empty where the file is no VRM and no VRMA."""
         if one := self.vrmc_vrm or self.vrmc_vrm_animation:
             return {name: bone.node for name, bone in one.humanoid.human_bones.items()}
         bones = [] if self.vrm is None else self.vrm.humanoid.human_bones
@@ -189,5 +191,5 @@ def _refusal(error: ValidationError, label: str) -> MeshError:
 
 
 def shown(value: Any) -> str:
-    """Returns a few words that show the ``value`` of a document, however deep it is."""
+    """Returns at most 60 letters that show the ``value`` of a document, however deep it is."""
     return f"a {type(value).__name__} of {len(value)}" if isinstance(value, (dict, list)) else repr(value)[:60]

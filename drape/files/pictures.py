@@ -21,8 +21,11 @@ MOST_BYTES = 48 * 2**20  # of the pictures of a garment, made anew
 
 
 def remade(payload: bytes, *, label: str, side: int = LARGEST_SIDE) -> bytes:
-    """The picture in ``payload`` as PNG, or as JPEG if it was one, or a WebP or KTX2 without alpha; no side is longer
-    than ``side``. Refuses (``MeshError``) other formats, damaged files and more than ``MOST_PIXELS``."""
+    """Returns the picture in ``payload`` as the bytes of a new file, none of whose sides is longer than ``side``
+    [pixels]: JPEG if it was a JPEG, or a WebP or KTX2 without alpha, otherwise PNG.
+
+    Raises ``MeshError`` for other formats, damaged files and more than ``MOST_PIXELS``.
+    """
     from PIL import Image
 
     try:
@@ -60,7 +63,8 @@ def _opened(payload: bytes, side: int, label: str) -> Image.Image:
 
 
 def with_remade(looks: Looks) -> tuple[Looks, tuple[str, ...]]:
-    """Returns ``looks`` with its pictures made anew; one that cannot be is left out, and a warning says why."""
+    """Returns ``looks`` with its pictures made anew, and warnings. A picture that cannot be made is left out, and a
+    warning says why."""
     cleaned: list[bytes | None] = []
     notes, size = [], 0
     for number, picture in enumerate(looks.pictures, start=1):
@@ -78,8 +82,9 @@ def with_remade(looks: Looks) -> tuple[Looks, tuple[str, ...]]:
 
 
 def metallic_roughness(metallic: Channel | None, roughness: Channel | None, *, label: str) -> bytes:
-    """The picture that glTF takes: roughness in green and metallic in blue, each from a channel (0 to 3) of a picture
-    as it came; white where there is none. Refuses (``MeshError``) what ``remade`` does."""
+    """Returns the PNG file that glTF takes: roughness in green and metallic in blue, each from a channel (0 to 3) of
+    the bytes of a picture; white where there is none. At least one is given. Raises ``MeshError`` as ``remade`` does.
+    """
     from PIL import Image
 
     planes = [None if one is None else _channel(*one, label=label) for one in (roughness, metallic)]
