@@ -26,9 +26,9 @@ def kept_below(
     """Returns ``parts`` of a character over the F frames of a clip, with their covered skin below the cloth. Positions
     are [m] in the world.
 
-    Frame 0 of ``parts`` is the T-pose, which is left out of the result. ``cloth`` has vertices [m] (V, 3) and faces (F,
-    3) of each garment in the T-pose, which say what skin is covered. ``worn`` are the garments in the F frames: covered
-    skin that is less than ``BELOW_M`` below them, or stands out of them by less than ``DEEPER_M``, is moved to
+    Frame 0 of ``parts`` is the T-pose, which is left out of the result. ``cloth`` has vertices [m] (V, 3) and faces
+    (F, 3) of each garment in the T-pose, which say what skin is covered. ``worn`` are the garments in the F frames:
+    covered skin that is less than ``BELOW_M`` below them, or stands out of them by less than ``DEEPER_M``, is moved to
     ``BELOW_M`` below.
     """
     starts = np.cumsum([0, *(part.surface.vertex_count for part in parts)])

@@ -84,8 +84,8 @@ def better_fit(gram: np.ndarray, right: np.ndarray, most: int, stays: np.ndarray
 
 def simplex_fit(gram: np.ndarray, right: np.ndarray, most: int, stays: np.ndarray | None = None) -> np.ndarray:
     """Returns the weights w (N, C) that minimise w.Gw / 2 - w.h in each row, for ``gram`` G (N, C, C) and ``right`` h
-    (N, C). They are not negative and sum to one, and at most ``most`` of a row are above zero: of those ``stays`` (N,
-    C) bool, all by default.
+    (N, C). They are not negative and sum to one, and at most ``most`` of a row are above zero: of those ``stays``
+    (N, C) bool, all by default.
 
     The minimum is approximate. Weights leave one after the other: the most negative one, else the one whose absence
     costs least, which is w^2 over its variance. None comes back.

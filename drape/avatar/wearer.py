@@ -88,7 +88,7 @@ class Wearer:
     painted: np.ndarray | None = None
 
     def body_under(self, halves: Halves) -> BodyModel:
-        """Returns the body that garments on ``halves`` lie on: ``upper`` for the upper half alone, otherwise ``body``."""
+        """Returns the body that garments on ``halves`` lie on: ``upper`` for the upper half alone, else ``body``."""
         return self.upper if halves == (True, False) else self.body
 
     @cached_property
