@@ -120,7 +120,7 @@ class Manifest:
         """The sha256 (hexadecimal) of the hashes of all graphs and of the file of weights: the key of whatever is
         computed with the model."""
         joined = "".join(f"{key}{self.graphs[key].sha256}" for key in sorted(self.graphs))
-        if self.weights is not None:  # two trainings of one network differ here alone
+        if self.weights is not None:  # Two trainings of one network differ here alone.
             joined += f"weights{self.weights.sha256}"
         return hashlib.sha256(joined.encode()).hexdigest()
 
@@ -230,7 +230,7 @@ def staged_folder(target: Path) -> Iterator[Path]:
     staged = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
     try:
         yield staged
-        staged.chmod(0o755)  # mkdtemp makes folders that only the owner can read
+        staged.chmod(0o755)  # mkdtemp makes folders that only the owner can read.
         publish_folder(staged, target)
     except BaseException:
         shutil.rmtree(staged, ignore_errors=True)

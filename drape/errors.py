@@ -5,9 +5,9 @@
     |   |-- MeshError         a mesh cannot be draped
     |   |-- BodyError         a body file or shape is wrong
     |   |-- MotionError       a pose or a clip is wrong
-    |   |-- NotFound          a name that nothing here has
+    |   |-- NotFound          a name of something that does not exist
     |   |-- TooLarge          more bytes, frames, layers or vertices than are taken
-    |-- ArtifactError         a stored model, cache or asset does not hold together
+    |-- ArtifactError         a stored model, cache or asset is damaged or does not fit
     |-- Unavailable           something that this installation or machine lacks
 
 Every message says four things: the name of the offending value, what was
@@ -26,7 +26,7 @@ from collections.abc import Callable, Iterable
 from typing import ParamSpec
 
 REFUSED_EXIT_CODE = 2
-UNREAD_EXIT_CODE = 128 + 13  # SIGPIPE
+UNREAD_EXIT_CODE = 128 + 13  # The status of a process that SIGPIPE ended.
 
 P = ParamSpec("P")
 
@@ -94,8 +94,8 @@ class Unavailable(DrapeError):
 
 
 def while_read(main: Callable[P, int]) -> Callable[P, int]:
-    """Returns the ``main`` of a command wrapped so that it ends silently where nobody reads its output any more (``...
-    | head``). It then returns the exit status of SIGPIPE, 141."""
+    """Returns the ``main`` of a command wrapped so that it ends silently where nobody reads its output any more, as
+    behind a pipe to ``head``. It then returns the exit status of SIGPIPE, 141."""
 
     @functools.wraps(main)
     def written(*args: P.args, **kwargs: P.kwargs) -> int:
@@ -107,8 +107,8 @@ def while_read(main: Callable[P, int]) -> Callable[P, int]:
             look = select.poll()
             look.register(sys.stdout.fileno())
             if not any(event & select.POLLERR for _, event in look.poll(0)):
-                raise  # another pipe
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more at its end
+                raise  # It was another pipe.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more at its end.
             return UNREAD_EXIT_CODE
 
     return written

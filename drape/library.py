@@ -59,7 +59,7 @@ from drape.stages.walk import run
 from drape.wire.options import Advanced, DrapeOptions, Inertia, TierName
 
 MODEL = "onefit"
-CHUNK_FRAMES = 8  # computed together; numbers do not depend on it
+CHUNK_FRAMES = 8  # Frames that are computed together. The numbers do not depend on it.
 MOST_FRAMES = 1 << 20
 
 
@@ -106,7 +106,7 @@ class Drape:
         self._runtime = runtime
         self._characters: dict[Path, Wearer] = {}
         self._own: dict[Path, OwnGarments] = {}
-        self._stages: dict[str, BodyStages] = {}  # by the digest of a body
+        self._stages: dict[str, BodyStages] = {}  # Keys are digests of bodies.
 
     @property
     def body(self) -> BodyModel:
@@ -273,7 +273,7 @@ class Worn:
         left = undressed(wearer, own_faces(wearer, self.layers), cloth, self._worn_by.halves)
         own = covered_faces(wearer.vertices, wearer.faces, cloth, margin_m=UNSEEN_M)
         skin = covered_faces(wearer.body.v_template, wearer.body.faces, cloth, margin_m=UNSEEN_M)
-        left = left._replace(off=left.off | own, bare=left.bare & ~skin, deep=None)  # players draw nothing deeper
+        left = left._replace(off=left.off | own, bare=left.bare & ~skin, deep=None)  # Players draw nothing deeper.
         return undressed_file(self._worn_by.file.read_bytes(), wearer, rig, left)
 
     def glb(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> bytes:

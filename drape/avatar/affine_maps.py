@@ -1,4 +1,4 @@
-"""Affine maps (..., 3, 4): one after the other, undone, and the rigid ones that take points nearest to others."""
+"""Affine maps (..., 3, 4): one after the other, their inverses, and the rigid ones that fit points best."""
 
 from __future__ import annotations
 

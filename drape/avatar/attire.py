@@ -1,7 +1,7 @@
-"""What is what on a character: which of its faces are skin, face, hair, clothes, shoes, and things that it carries.
+"""What the faces of a character are: skin, face, hair, clothes, shoes, or things that it carries.
 
-Names tell first (``drape.avatar.attire_words``). Faces whose names do not are cut into regions, pieces of one colour:
-a region in a colour that head and hands share is skin, another one is what is worn where it lies.
+Names decide first (``drape.avatar.attire_words``). Faces whose names say nothing are cut into regions, pieces of one
+colour. A region in a colour that head and hands share is skin; any other one is what is worn where it lies.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from drape.errors import NotFound, did_you_mean
 from drape.files.gltf import GltfFile
 from drape.geometry import meshes
 
-SAME_COLOUR = 0.11  # the largest difference of a channel, sRGB, between faces of one region, and between skin and skin
-LEAST_SHARE = 0.002  # of the surface: a smaller region goes with its largest neighbour
-BY_NAME, BY_COLOUR, BY_CLOTH = 0.95, 0.6, 0.8  # how sure
+SAME_COLOUR = 0.11  # sRGB channels of faces of one region, and of two pieces of skin, differ by less.
+LEAST_SHARE = 0.002  # A region with a smaller share of the surface goes with its largest neighbour.
+BY_NAME, BY_COLOUR, BY_CLOTH = 0.95, 0.6, 0.8  # Values of ``AttirePart.sure``.
 TOLD = 1.0
 
 
@@ -157,7 +157,7 @@ class _Surface:
             pair, count = np.unique(ends, axis=0, return_counts=True)
             best = pair[np.lexsort((size[pair[:, 1]], count))]
             into = np.arange(len(size))
-            into[best[:, 0]] = best[:, 1]  # the last one counts
+            into[best[:, 0]] = best[:, 1]  # Of several neighbours the last one, which is the best, counts.
             bigger = size[into] > size
             label = np.where(bigger, into, np.arange(len(size)))[label]
         return np.where(inside, label, -1)

@@ -29,8 +29,8 @@ Kind = Literal[
     "carried",
 ]
 KINDS: tuple[str, ...] = get_args(Kind)
-CLOTH = "cloth"  # of words that say that something is worn, and not what
-DOLL = "doll"  # of figures without clothes, in whatever colours
+CLOTH = "cloth"  # Such words say that something is worn, and not what.
+DOLL = "doll"  # Such words name figures without clothes, in whatever colours.
 GENERAL = (CLOTH, DOLL, "skin")
 LONG = 4
 
@@ -91,7 +91,7 @@ def kind_of_names(names: Iterable[str | None]) -> str | None:
 
 def _words(name: str) -> list[str]:
     parts = _SPLIT.findall(_CAPITALS.sub(" ", name))
-    whole = _SPLIT.findall(name)  # T-shirt of tShirt, one piece of OnePiece
+    whole = _SPLIT.findall(name)  # "tShirt" and "OnePiece" are words as a whole too.
     return [part.lower() for part in (*whole, *parts)]
 
 

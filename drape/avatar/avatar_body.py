@@ -18,8 +18,8 @@ from drape.body.skeleton import JOINT_COUNT
 from drape.garment.skin import smoothing_matrix
 from drape.geometry.closest import closest_point
 
-SUPPORT = 200  # vertices of the skin that place a joint
-TRUSTED_M = 0.04  # a vertex farther than this from the character keeps the standard body's weights
+SUPPORT = 200  # So many vertices of the skin place a joint.
+TRUSTED_M = 0.04  # A vertex farther from the character keeps the standard body's weights.
 SMOOTHING_PASSES = 3
 
 

@@ -1,7 +1,7 @@
-"""A character's covered skin kept below the cloth, frame by frame, in files that have every frame of it.
+"""A character's covered skin moved below the cloth, frame by frame, for files that hold every frame of it.
 
-What clients draw deeper than it is (``drape.avatar.covered``) is there where it looks to be: by so much skin stands
-through the cloth where the body that garments lie on is not the character's own.
+Skin stands through the cloth where the body that garments lie on is not the character's own. Clients draw such skin
+deeper than it is (``drape.avatar.covered``); what draws nothing deeper needs it in its place.
 """
 
 from __future__ import annotations

@@ -25,9 +25,9 @@ from drape.geometry.closest import SearchedMesh, on_border
 from drape.geometry.symmetric import ShiftedSystems
 
 STIFFNESS = (3e4, 1e4, 3e3, 1e3, 300.0, 100.0, 30.0, 10.0)
-REACH_M = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05)  # how far a point may be that draws, in those rounds
-FACING = 0.4  # the least cosine between the normals of what draws and what is drawn
-FEW_FACES = 8  # a part of fewer is none
+REACH_M = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05)  # A point draws the skin within this distance, round by round.
+FACING = 0.4  # A point draws skin only if the cosine between their normals is larger.
+FEW_FACES = 8  # A part of fewer faces draws nothing.
 NECK, HEAD = JOINT_NAMES.index("neck"), JOINT_NAMES.index("head")
 SHOULDERS, COLLARS, HANDS = (
     [JOINT_NAMES.index(f"{side}_{joint}") for side in ("left", "right")] for joint in ("shoulder", "collar", "hand")
@@ -37,8 +37,10 @@ LIMB_JOINTS = tuple(
     for side in ("left", "right")
     for limb in (("hip", "knee", "ankle", "foot"), ("shoulder", "elbow", "wrist", "hand"))
 )
-STILL = 0.001  # how much skin that nothing draws stays where it is: else a bent neck swung the head round behind it
-TRUST = {"neck": 0.5, "head": 0.0, "palm": 0.0, "sole": 0.3}  # hair, fingers and shoes are no body: they follow
+# Skin that nothing draws is held where it is by this trust: else a bent neck swung the head round behind it.
+STILL = 0.001
+# Hair, fingers and shoes are no body: there the skin follows the rest.
+TRUST = {"neck": 0.5, "head": 0.0, "palm": 0.0, "sole": 0.3}
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +102,8 @@ class _Target:
 
 
 def target_joints(known: np.ndarray, template: np.ndarray) -> np.ndarray:
-    """Returns where the body's joints [m] (24, 3) lie on a character whose joints are ``known`` (24, 3), NaN where it
-    has none. ``template`` (24, 3) are the body's own joints at rest.
+    """Returns where the body's joints [m] (24, 3) lie on a character whose joints are ``known`` [m] (24, 3), NaN where
+    it has none, in the frame of these. ``template`` [m] (24, 3) are the body's own joints at rest.
 
     Rigs agree on hips, knees, ankles, shoulders, elbows, wrists and neck. The spine and the collars lie between them as
     in ``template``, because every rig has them elsewhere. A limb that ends early goes on in the scale of its last bone.

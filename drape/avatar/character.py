@@ -20,10 +20,11 @@ from drape.files.gltf_json import Primitive as FilePrimitive
 from drape.files.gltf_nodes import node_matrix, tree_of, world_matrices
 
 MOST_JOINTS = 400
-MOST_UNITS = 1e12  # where nodes and vertices may be: far enough for any unit of length
+MOST_UNITS = 1e12  # Nodes and vertices may be so far out in any unit of length.
 MOST_VERTICES = 400_000
 LEAST_VERTICES = 100
-WELD_SHARE = 1e-5  # of the height: vertices nearer to each other are one, split for texture coordinates
+# Vertices nearer to each other, as a share of the height, are one that was split for texture coordinates.
+WELD_SHARE = 1e-5
 TRIANGLES = 4
 
 
@@ -175,7 +176,7 @@ def _bones_above(file: GltfFile, joints: set[int], place: dict[int, int]) -> dic
     """Nodes with a mesh and no skin below a joint -> the place of the nearest joint above, among ``joints``."""
     bones: dict[int, int] = {}
     carried: dict[int, int] = {}
-    for node, number in place.items():  # parents first
+    for node, number in place.items():  # Parents come first.
         if number in joints:
             carried[node] = number
         held = file.document.nodes[node]

@@ -1,7 +1,7 @@
-"""A character's own surface over a clip of its rig, with its materials: what files have that know no skin.
+"""A character's own surface over a clip of its rig, with its materials, for formats of files that know no skinning.
 
 A vertex v of a skinned mesh is at sum_j w_j W_j B_j v, by the world transforms W of its joints and the inverse bind
-matrices B of its skin; what hangs on a bone is at W v.
+matrices B of its skin. What hangs on a bone is at W v.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def moving_character(payload: bytes, motion: RigMotion, scale: float) -> list[Mo
     for node, index, primitive in listed_primitives(file, drawn, set()):
         go_on()
         points, faces = triangles_of(file, primitive)
-        if (faces == faces[:, :1]).all():  # what was taken out as a whole
+        if (faces == faces[:, :1]).all():  # A primitive that was taken out as a whole has such a triangle left.
             continue
         skin = nodes[node].skin
         if skin is None:

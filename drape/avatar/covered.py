@@ -1,11 +1,11 @@
 """Which faces of a character lie under its garments at rest, so that a client can draw them behind the cloth.
 
 A character of separate pieces comes apart where joints bend, and a piece then stands through the cloth that lies on our
-body. What a garment covers is known beforehand: in T-pose, points are spread over the character's faces, and each asks
-for the nearest point of the cloth.
+body. What a garment covers is known beforehand: in T-pose, points are spread over the character's faces, and the
+nearest point of the cloth is found for each.
 
-Drawn ``DEEPER_M`` further from the viewer than they are, such faces lie behind cloth that they stand through, and are
-still there where a hem has moved on: left out, they would be missing there.
+Drawn ``DEEPER_M`` further from the viewer than they are, such faces lie behind cloth that they stand through. If they
+were left out, they would be missing where a hem has moved on.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from drape.avatar.file_skeleton import load_file_rig
 from drape.geometry.closest import closest_point, nearest_vertices, on_border
 from drape.geometry.meshes import boundary_vertices, face_normals
 
-SPACING_M = 0.02  # of the points on a face
-REACH_M = 0.1  # cloth farther away covers nothing: a wide skirt is looked into
-INSIDE_M = 0.02  # what stands out of the cloth by more at rest is over it
+SPACING_M = 0.02  # Points on a face lie at most so far apart.
+REACH_M = 0.1  # Cloth farther away covers nothing, since one looks into a wide skirt.
+INSIDE_M = 0.02  # What stands out of the cloth by more at rest lies over it.
 DEEPER_M = 0.05
-UNSEEN_M = 0.15  # so far from hems nobody sees a face of a file: players draw none of them deeper
-MARGIN_M = 0.03  # from all that is bare, and from hems and openings: cloth moves by so much
+UNSEEN_M = 0.15  # So far from hems nobody sees a face. Players, which draw no face deeper, need not have it.
+MARGIN_M = 0.03  # Covered faces keep this distance from all that is bare, and from hems, since cloth moves by so much.
 
 
 class PrimitiveFaces(NamedTuple):

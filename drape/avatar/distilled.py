@@ -1,8 +1,8 @@
-"""A garment's drape as a few more joints below those of a character's rig, with weights of all, for any player.
+"""A garment's drape as skinning, on a few more joints below those of a character's rig, which any player shows.
 
-Frames that were draped become weights and rigid motions (``drape.avatar.skin_decomposition``). Each joint e hangs
-below the joint j of the rig that it moves with most. In its joint's frame S = (W_j B_j)^-1 T_e it hardly moves, so a
-file's own clips, which know nothing of it, still carry the garment.
+Draped frames become weights and rigid motions (``drape.avatar.skin_decomposition``). Each own joint e hangs below the
+joint j of the rig that it moves with most. Seen from there, S = (W_j B_j)^-1 T_e, it hardly moves. So a file's own
+clips, which do not animate it, still carry the garment.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from drape.garment.skin import smoothing_matrix
 from drape.geometry.mesh_graphs import edge_graph
 from drape.wanted import go_on
 
-JOINTS = 32  # a garment, by default
-FRAMES = 300  # that weights are fitted to, at most
-ROUNDS = 8  # of weights and motions
+JOINTS = 32  # Joints of a garment, by default.
+FRAMES = 300  # Weights are fitted to at most so many frames.
+ROUNDS = 8  # Rounds of fitting weights and then motions.
 TRACK_ROUNDS = 6
-NEAR, NEAR_RIG = 6, 3  # joints that a vertex may have: the nearest of its own, the heaviest of the rig
-NEARNESS = 0.02  # of clusters
-SMOOTH_M = 5e-3  # of a weight's error of one, in the fit
-ENOUGH = 2500  # vertices that tracks are fitted to, at least
-STEADINESS = 1e-3  # of tracks
-PIVOT_SHARE = 0.02  # of a joint's distance from its middle, of that by which it moves
+NEAR, NEAR_RIG = 6, 3  # A vertex may have the nearest of the garment's own joints, and its heaviest joints of the rig.
+NEARNESS = 0.02  # ``nearness`` of ``rigid_clusters``.
+SMOOTH_M = 5e-3  # In the fit of weights a difference of one from smooth weights costs as much as this distance.
+ENOUGH = 2500  # Motions are fitted to at least so many vertices, where a garment has them.
+STEADINESS = 1e-3  # ``steadiness`` of ``fit_moves``.
+PIVOT_SHARE = 0.02  # The cost of a pivot's distance from the joint's middle, where its squared displacement costs 1.
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +158,8 @@ def _on_rig(garment: Garment, motion: RigMotion, wearer: Wearer, rig: FileRig) -
     at = garment.drawn_at_rest() / wearer.scale
     bones, kept = heaviest(weights, np.zeros(len(at), dtype=bool))
     used = np.unique(bones[kept > 0.0])
-    unit = np.cbrt(np.abs(np.linalg.det(motion.blends[0, used, :3, :3]))).mean()  # of the world, per one of the skin's
+    # One unit of the skin is so many of the world.
+    unit = np.cbrt(np.abs(np.linalg.det(motion.blends[0, used, :3, :3]))).mean()
     joints, binds = skeleton.joints[used], skeleton.binds[used, :3, :] / [unit, unit, unit, 1.0]
     dense = np.zeros((len(bones), len(used)))
     np.add.at(dense, (np.arange(len(bones))[:, None], np.searchsorted(used, bones) % len(used)), kept)

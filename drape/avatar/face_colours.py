@@ -12,8 +12,9 @@ from drape.files.pictures import remade
 from drape.garment.files.gltf_looks import gltf_looks
 from drape.garment.portrait import CLOTH, Sitter, paint_of
 
-SIDE_PX = 256  # of pictures, of which a mean is asked
-SHARES = np.array([[1 / 3, 1 / 3, 1 / 3], [0.6, 0.2, 0.2], [0.2, 0.6, 0.2], [0.2, 0.2, 0.6]])  # places in a triangle
+SIDE_PX = 256  # Pictures are made so small, since only a mean is taken.
+# Barycentric coordinates of the points whose colours are averaged.
+SHARES = np.array([[1 / 3, 1 / 3, 1 / 3], [0.6, 0.2, 0.2], [0.2, 0.6, 0.2], [0.2, 0.2, 0.6]])
 
 
 def face_colours(file: GltfFile, primitives: tuple[Primitive, ...]) -> np.ndarray:

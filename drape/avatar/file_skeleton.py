@@ -24,7 +24,7 @@ from drape.files.packed import UNREADABLE, read_packed
 from drape.geometry.rotations import matrix_to_quaternion
 from drape.motion.node_clip import nearest_rotations, world_transforms
 
-PART = "file"  # of a wearer's file: what begins the names of these arrays
+PART = "file"  # In a wearer's file the names of these arrays begin with it.
 
 
 @dataclass(frozen=True, eq=False)

@@ -107,7 +107,7 @@ def _add_skin(file: GlbFile, distilled: Distilled, nodes: dict[int, int], own: S
     columns[:, :3] = np.concatenate([distilled.binds, _at(-distilled.pivots)])
     columns[:, 3] = [0.0, 0.0, 0.0, 1.0]
     joints = [*(nodes[int(joint)] for joint in distilled.joints), *own]
-    binds = file.array(np.swapaxes(columns, -1, -2).astype(np.float32))  # as stored: column by column
+    binds = file.array(np.swapaxes(columns, -1, -2).astype(np.float32))  # glTF stores matrices column by column.
     return file.add("skins", {"joints": joints, "inverseBindMatrices": binds})
 
 

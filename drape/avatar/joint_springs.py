@@ -1,9 +1,10 @@
-"""Joints of a garment as spring bones of VRM, for motion that nobody draped: their numbers, fitted to frames.
+"""A garment's own joints as spring bones of VRM, for motion that nobody draped: their constants, fitted to draped
+frames.
 
-Each joint turns about its pivot; its tail is where the middle of its cloth is, or beyond. The numbers of a spring are
-those of many with which the cloth that it moves, by the law of ``drape.motion.spring_bones``, comes nearest to where it
-is draped and sinks least into the legs, which are capsules. A joint is a spring only where that is better than what
-the rig alone makes of its cloth, which follows the legs, and in no clip much worse; else the rig has its weights.
+Each joint turns about its pivot; its tail lies in the middle of its cloth or beyond. Of many constants those are taken
+with which the cloth, moved by the law of ``drape.motion.spring_bones``, comes nearest to the draped one and sinks least
+into the legs, which are capsules. A joint is a spring only where that is better than its cloth moved by the rig alone,
+and in no clip much worse. Otherwise the rig gets its weights.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ from drape.motion.spring_bones import Capsules, Springs, nearest_off, shortest_t
 STIFFNESS = (0.05, 0.2, 0.8, 4.0)
 GRAVITY = (0.0, 0.2, 0.8)
 DRAG = (0.1, 0.4, 1.0)
-BETTER, WORST = 0.97, 1.4  # of the error of a joint's cloth on the rig, over all clips and in one
-SHORTEST_M = 0.05  # of a spring
-WIDEST_M = 0.03  # of a tail's own radius
-POINTS = 6  # of the cloth of a joint, that may not sink into limbs
-SINKING = 100.0  # what the square of a depth in them costs, of the square of the way that such a point is off
-LOOKED_AT = slice(None, None, 5)  # frames whose cloth counts
+BETTER, WORST = 0.97, 1.4  # A spring's error may be so large a share of the rig's, over all clips and in each.
+SHORTEST_M = 0.05  # A spring is at least so long.
+WIDEST_M = 0.03  # A tail's own radius is at most this.
+POINTS = 6  # So many points of a joint's cloth should not sink into limbs.
+SINKING = 100.0  # The cost of a squared depth in a limb, where the squared distance from the draped point costs 1.
+LOOKED_AT = slice(None, None, 5)  # The cloth of every fifth frame counts.
 LIMBS = tuple(
     (f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"))
 )
@@ -90,7 +91,7 @@ def fit_springs(distilled: Distilled, clips: Sequence[DrapedClip], wearer: Weare
     seen = list(map(_looked_at, clips))
     tracks = [compose(pelvis_places(few.motion)[:, None], distilled.fitted(few, unit)) for few in seen]
     room = _room([_moved(track, ends) for track in tracks], limbs, seen)
-    felt &= room[:, None] > 0.0  # cloth that lies on a limb goes with it
+    felt &= room[:, None] > 0.0  # Cloth that lies on a limb goes with it, and feels none.
     radius = np.where(felt.any(axis=1), np.clip(room, 0.0, WIDEST_M / unit), 0.0)
     stiffness, gravity, drag = np.array(list(itertools.product(STIFFNESS, GRAVITY, DRAG))).T[..., None]
     costs, on_rig = np.zeros((len(clips), len(drag), distilled.count)), np.zeros((len(clips), distilled.count))

@@ -1,4 +1,5 @@
-"""Which nodes of a character are which joints: by VRM's bones, by names, or by places where nobody knows its names."""
+"""Which nodes of a character are which joints: by VRM's bones, by names, or by positions where the names are
+unknown."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The clothes that a character came in, and the body below: what garments of ours take off, what then is bare.
+"""The clothes that a character came in, and the body below: what garments of ours take off, and what is bare then.
 
 A garment for the upper half of the body takes off tops and coats, one for the lower half trousers and skirts, and
-either one a dress; bags that stand far off the back go with a top. Clothes that are painted on the skin, or sewn to it,
+either one a dress. Bags that stand far off the back go with a top. Clothes that are painted on the skin, or sewn to it,
 are the body's own surface. Trousers that stay on lie under a top of ours, so there is a body with these on; a top that
 stays on is tucked into trousers of ours.
 """
@@ -27,13 +27,13 @@ from drape.geometry.mesh_graphs import connected_components
 BONES = np.array([name.removeprefix("left_").removeprefix("right_") for name in JOINT_NAMES])
 UPPER, LOWER = ("top", "outer", "dress"), ("trousers", "skirt", "dress")
 SKIN = ("skin", "face", "gloves", "shoes", "underwear")
-BULKY_M = 0.05  # what stands farther off the skin is no belt: cloth does not lie over it
+BULKY_M = 0.05  # What stands farther off the skin is no belt, and cloth does not lie over it.
 ARMS = ["upper_arm", "forearm"]
-INSET_M = 0.01  # cloth stands so far off a skin that was cut away below it
-LEAST_SHARE = 0.2  # of a garment's vertices at a half of the body
-BELOW = 0.5  # the least cosine between a cloth's normal and the way to the skin that it lies on
-BARE_M = 0.02  # skin farther from the body than this leaves it bare
-GONE_M = 0.12  # clothes that were taken off lay so near to the body
+INSET_M = 0.01  # Skin that was cut away below cloth lay so far below it.
+LEAST_SHARE = 0.2  # A garment lies on a half of the body if a larger share of its vertices is there.
+BELOW = 0.5  # Cloth lies on skin if the cosine between its normal and the way to the skin is larger.
+BARE_M = 0.02  # The body is bare where the character's surface is farther away.
+GONE_M = 0.12  # Clothes that were taken off lay nearer to the body than this.
 # Parts where a fitted body is not the character's shape, from so far [m] from a joint on: chins hung below toys' heads.
 ENDS = {"head": ("head", 0.0), "palm": ("wrist", 0.06), "sole": ("ankle", 0.06)}
 
@@ -73,7 +73,8 @@ def halves_by(nearest: Iterable[np.ndarray], body: BodyModel) -> Halves:
     covered = np.zeros(2, dtype=bool)
     for row in nearest:
         share = np.array([upper[row].mean(), lower[row].mean()])
-        covered |= share > LEAST_SHARE * np.array([1.0, 1.0 + (share[0] > LEAST_SHARE)])  # a shirt's hem is on the hips
+        # A shirt's hem is on the hips.
+        covered |= share > LEAST_SHARE * np.array([1.0, 1.0 + (share[0] > LEAST_SHARE)])
     return Halves(*map(bool, covered))
 
 
@@ -99,7 +100,7 @@ def layers_of(attire: Attire, pose: TPose) -> Layers:
     skin, clothes = attire.of_kinds(SKIN), attire.of_kinds(UPPER + LOWER)
     sewn = np.zeros(len(pose.vertices), dtype=bool)
     sewn[pose.faces[skin]] = True
-    for number in range(len(attire.parts)):  # a region of colour is sewn on whole
+    for number in range(len(attire.parts)):  # A region of one colour is sewn on as a whole.
         rows = attire.part == number
         if clothes[rows].all() and sewn[pose.faces[rows]].any(axis=1).sum() > 0.01 * rows.sum():
             skin |= rows

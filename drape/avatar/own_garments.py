@@ -1,8 +1,8 @@
-"""The clothes that a character came in as garments that drape on it: its own cloth, alive.
+"""The clothes that a character came in as garments that drape on it.
 
-All that it wears of one kind is one garment, taken in as any mesh file (``drape.garment.intake``) on the body that
-lies below it; so nobody is looked for in it. What is no cloth stays on the skin, and says why: what is painted on the
-skin or sewn to it, a few faces, what one bone moves as armour, and whatever an intake refuses.
+All that it wears of one kind is one garment, taken in as any mesh file (``drape.garment.intake``) on the body that lies
+below it, so that no wearer is sought. Other clothes stay on the skin, and a sentence says why: they are painted on the
+skin or sewn to it, have few faces, are moved by one bone as armour is, or an intake refuses them.
 """
 
 from __future__ import annotations
@@ -44,16 +44,17 @@ from drape.garment.sheets import pieces_of
 from drape.geometry.closest import signed_distance
 from drape.geometry.mesh_graphs import connected_components
 
-VERSION = 3  # raised when a change here changes the garments that come out
-KINDS = ("trousers", "skirt", "top", "dress", "outer")  # the innermost first
+VERSION = 3  # It is raised when a change here changes the garments that come out.
+KINDS = ("trousers", "skirt", "top", "dress", "outer")  # The innermost come first.
 LEAST_FACES = 40
-PAINTED_SHARE = 0.5  # of a part's faces that are the skin's own mesh
-BURIED_M, INSIDE_M = 0.03, 0.005  # where a piece of cloth that is inside of the body is so deep, nobody sees it
-PIECE_SHARE = 0.3  # of the area of a kind's largest piece
-SEEN_SHARE = 0.4  # of a kind's faces that are not buried, at least
-STIFF = 0.99  # of a vertex's weights at the bone that moves all of a part
-OWN = "own"  # in a garment's manifest: its kind and the parts that it was
-MARK = "~"  # between a character and the kind, in the name of a garment
+PAINTED_SHARE = 0.5  # A part is painted on if a larger share of its faces is the skin's own mesh.
+# A piece of cloth that lies inside the body, deeper than the second, is not seen if it goes deeper than the first.
+BURIED_M, INSIDE_M = 0.03, 0.005
+PIECE_SHARE = 0.3  # Pieces with a smaller share of the area of a kind's largest one are no cloth.
+SEEN_SHARE = 0.4  # Clothes of a kind become a garment if at least this share of their faces is seen.
+STIFF = 0.99  # A part is stiff if one bone has more of the weights of each of its vertices.
+OWN = "own"  # In a garment's manifest it names the entry with its kind and the parts that it was.
+MARK = "~"  # It stands between a character and the kind in the name of a garment.
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,11 +274,11 @@ def _mesh(file: GltfFile, wearer: Wearer, name: str, rows: np.ndarray) -> Garmen
     fields = [{} if number is None else file.item("materials", number, "primitives.material") for number in materials]
     names = [field.get("name") for field in fields]
     corners = np.concatenate([uv for uv, _ in textured])[triangle].reshape(-1, 2)
-    uv, uv_faces = np.unique(corners, axis=0, return_inverse=True)  # corners that meet are one: files split the others
+    uv, uv_faces = np.unique(corners, axis=0, return_inverse=True)  # Corners that meet are one. Files split the others.
     mesh = plain_mesh(name, wearer.vertices[used], faces.reshape(-1, 3))
     return replace(
         mesh,
-        uv=np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]),  # glTF's origin is at the upper left
+        uv=np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]),  # glTF has the origin at the upper left.
         uv_faces=uv_faces.reshape(-1, 3),
         material_names=tuple(name if isinstance(name, str) else f"material {i}" for i, name in enumerate(names)),
         face_material=face_material.reshape(-1),

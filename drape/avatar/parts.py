@@ -1,4 +1,4 @@
-"""Parts of a body by whose bones move them: where a character's skin and ours are compared."""
+"""Parts of a body, by the joints that move them: a character's skin is compared with ours part by part."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PARTS = {
        ("palm", ("wrist", "hand")), ("thigh", ("hip",)), ("shin", ("knee",)), ("sole", ("ankle", "foot")))},
 }  # fmt: skip
 CHAINS = (("upper_arm", "forearm", "palm"), ("thigh", "shin", "sole"))
-LIMBS = ("trunk", "upper_arm", "forearm", "thigh", "shin")  # where the fit is measured: what garments lie on
+LIMBS = ("trunk", "upper_arm", "forearm", "thigh", "shin")  # The fit is measured on the parts that garments lie on.
 
 
 def parts_of(weights: np.ndarray) -> np.ndarray:
@@ -44,7 +44,8 @@ def _beside(part: str) -> set[str]:
     return near | {"neck": {"trunk", "head"}, "head": {"neck"}}.get(part, set())
 
 
-_JOINED = np.array([[other in _beside(part) for other in PARTS] for part in PARTS])  # by numbers of parts
+# Rows and columns are indices of ``PARTS``.
+_JOINED = np.array([[other in _beside(part) for other in PARTS] for part in PARTS])
 
 
 def beside(own: np.ndarray, others: np.ndarray) -> np.ndarray:

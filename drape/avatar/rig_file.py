@@ -30,10 +30,11 @@ from drape.garment.cache import Garment
 from drape.wanted import go_on
 
 BARE, UNDER, TUCKED = "bare skin", "skin under garments", "tucked top"
-DEEPER = {"extras": {"deeper_m": DEEPER_M}}  # of a node
-GAMMA = 2.2  # glTF's colours are linear
+DEEPER = {"extras": {"deeper_m": DEEPER_M}}  # Fields of a node.
+GAMMA = 2.2  # glTF's colours are linear, and ours are sRGB.
 _NO_MATERIALS = np.zeros((0, 3), dtype=np.int64), (), np.zeros(0, dtype=np.int64)
-LEAST_VOLUME = 0.2  # of a blend of joints, of theirs: one that is flatter cannot be undone, and gets a single joint
+# A blend of joints that keeps a smaller share of their volume cannot be inverted: such a vertex gets one joint.
+LEAST_VOLUME = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +157,7 @@ def add_nodes(file: GlbFile, skeleton: FileSkeleton) -> dict[int, int]:
 
 def _add_skin(file: GlbFile, skeleton: FileSkeleton, nodes: dict[int, int]) -> int:
     """The skin in ``file``."""
-    columns = np.swapaxes(skeleton.binds, -1, -2).astype(np.float32)  # as stored: column by column
+    columns = np.swapaxes(skeleton.binds, -1, -2).astype(np.float32)  # glTF stores matrices column by column.
     columns[:, :, 3] = [0.0, 0.0, 0.0, 1.0]
     joints = [nodes[int(joint)] for joint in skeleton.joints]
     return file.add("skins", {"joints": joints, "inverseBindMatrices": file.array(columns)})

@@ -1,4 +1,4 @@
-"""A clip on the nodes of a character's own file: their local transforms, and where they are."""
+"""A clip on the nodes of a character's own file: their local transforms, and their world transforms."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drape.export.glb_file import Channel, GlbFile
 from drape.export.root_motion import quaternion_keys
 from drape.motion.rig_poses import carrier
 
-STILL = 1e-11  # a node that turns by less than 1e-5 rad in all frames is not animated
+STILL = 1e-11  # A node that turns by less than 1e-5 rad in all frames is not animated.
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class RigMotion:
         """Adds an animation to ``file``: the F frames of the clip and the channels ``more``. The skeleton's node n is
         the node ``nodes[n]`` of ``file``."""
         channels = [(nodes[n], "rotation", quaternion_keys(self.turns[1:, n])) for n in self.animated if n in nodes]
-        if self.top in nodes:  # what no skin hangs on is not written
+        if self.top in nodes:  # A node on which no skin hangs is not written.
             channels.append((nodes[self.top], "translation", self.moves[1:, self.top].astype(np.float32)))
         file.animate(len(self.moves) - 1, self.fps, [*channels, *more])
 

@@ -1,4 +1,4 @@
-"""Weights of a garment's vertices on the joints of a character's own rig, and the blends that they make."""
+"""Skinning weights of a garment's vertices on the joints of a character's own rig, and blends of the joints' maps."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drape.garment.cache import Garment
 from drape.garment.skin import smoothing_matrix
 from drape.geometry.closest import closest_point
 
-HEAVIEST = 4  # joints of a vertex, which is what players support
+HEAVIEST = 4  # Players support so many joints a vertex.
 SMOOTHING_PASSES = 6
 
 
@@ -46,7 +46,7 @@ def garment_weights(garment: Garment, wearer: Wearer, rig: FileRig) -> scipy.spa
 def heaviest(weights: scipy.sparse.csr_matrix, alone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Returns the heaviest joints (V, 4) of each vertex, as columns of ``weights`` (V, J), and their weights (V, 4),
     float32, which sum to one. A vertex that is ``alone`` (V,) bool has one joint. A joint without weight is 0."""
-    used = np.unique(weights.indices)  # of thousands of joints few move a garment
+    used = np.unique(weights.indices)  # Of thousands of joints few move a garment.
     dense = weights[:, used].toarray()
     order = np.argsort(-dense, axis=1, kind="stable")[:, :HEAVIEST]
     order = np.pad(order, ((0, 0), (0, HEAVIEST - order.shape[1])))

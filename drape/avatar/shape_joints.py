@@ -1,9 +1,9 @@
-"""A person's joints by where they are, for rigs whose names nobody knows.
+"""A person's joints by their positions, for rigs whose names are unknown.
 
-The lowest skin tells the feet: two branches of one node end there. The skin farthest out to both sides tells the hands:
+The lowest skin shows the feet: two branches of one node end there. The skin farthest out to both sides shows the hands:
 their branches leave the trunk at another node, and what goes on upwards from there is neck and head. Along each branch
 the joints are the three nodes whose distances are the most like a person's (``LEG``, ``ARM``), so that bones of twist
-and roll between them are passed over. Feet tell where the character looks, and so which side is its left.
+and roll between them are passed over. Feet show where the character looks, and so which side is its left.
 
 Only nodes that move skin count. Up is y, as glTF has it.
 """
@@ -20,20 +20,17 @@ from drape.avatar.character import Character
 from drape.errors import MotionError
 from drape.motion.joint_names import CURE, ancestors, with_trunk
 
-GROUND = 0.05  # of the height: skin below that stands on the floor
-FEW = 0.02  # of that skin: what moves less of it does not stand
-LOW_FOOT = 0.35  # of the height: what a leg's nodes on the floor have in common lies below that
-APART = 0.02  # of the height: hips are at least as far from the middle
-LEG = (0.5, 0.1)  # the thigh's share of thigh and shin; the ankle's height over that of the hip
-ARM = (
-    0.35,
-    0.71,
-    0.5,
-    0.24,
-)  # of the arm down to its finger tips: elbow, wrist; the upper arm's share; way from the middle
-HAND, HEAD = 0.15, 0.3  # what a node with fingers is worth; the head's place between neck and crown
-LEAST_ARM = 0.25  # of the height: a child's are longer
-FINGER = 0.4  # of the longest branch of a hand: a shorter one is no finger
+GROUND = 0.05  # Skin below this share of the height stands on the floor.
+FEW = 0.02  # A node that moves a smaller share of that skin does not stand.
+LOW_FOOT = 0.35  # The lowest node above all of a foot's nodes lies below this share of the height.
+APART = 0.02  # Hips are at least this share of the height away from the middle.
+LEG = (0.5, 0.1)  # The thigh's share of thigh and shin, and the ankle's height over the hip's.
+# Shares of the arm down to its finger tips: where elbow and wrist lie. Then the upper arm's share of the arm without
+# the hand, and the shoulder's distance from the middle as a share of the arm.
+ARM = (0.35, 0.71, 0.5, 0.24)
+HAND, HEAD = 0.15, 0.3  # What a node with fingers is worth, and the head's place between neck and crown.
+LEAST_ARM = 0.25  # Arms are at least this share of the height; a child's are longer.
+FINGER = 0.4  # A branch with a smaller share of the length of a hand's longest one is no finger.
 LEAST_CONFIDENCE = 0.6
 
 
@@ -68,9 +65,8 @@ class _Reading:
     def __init__(self, character: Character, label: str) -> None:
         self.label, self.parents, self.places = label, character.parents, character.places
         self.skin = character.vertices
-        self.owner = np.asarray(character.weights.argmax(axis=1)).reshape(
-            -1
-        )  # of each vertex, the node that moves it most
+        # The node that moves each vertex most.
+        self.owner = np.asarray(character.weights.argmax(axis=1)).reshape(-1)
         self.floor, self.height = float(self.skin[:, 1].min()), max(float(np.ptp(self.skin[:, 1])), 1e-9)
         moved = np.bincount(self.owner, minlength=len(self.parents))
         for node in range(len(self.parents) - 1, -1, -1):

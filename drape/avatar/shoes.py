@@ -9,8 +9,8 @@ from drape.avatar.parts import PARTS, parts_of, plain_part
 from drape.body.model import BodyModel
 from drape.geometry.closest import signed_distance
 
-OUT_M = 0.015  # a shoe stands out of the foot by more
-MOST = 0.95  # of what stands out: the tips of tongues and tags do not count
+OUT_M = 0.015  # A shoe stands out of the foot by more.
+MOST = 0.95  # The quantile of what stands out. Tips of tongues and tags do not count.
 
 
 def shoes_height(body: BodyModel, vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from drape.avatar.affine_maps import rigid_fit
 
-SINGULAR = 1e-12  # of the mean square: what is added to weights' squares, so that equal bones share a vertex
+SINGULAR = 1e-12  # This share of the mean square is added to weights' squares, so that equal bones share a vertex.
 FRAMES_AT_ONCE = 16
 
 
@@ -150,7 +150,7 @@ def fit_moves(
             share, own = weights[rows, bone], points[rows]
             at = left[:, rows] + share[:, None] * (own @ moves[:, bone].swapaxes(-1, -2))
             targets = at / share[:, None]
-            if steadiness > 0.0:  # two targets of one point count as the place between them
+            if steadiness > 0.0:  # Two targets of one point count as their weighted mean.
                 targets = (targets + steadiness * (own @ first[:, bone].swapaxes(-1, -2))) / (1.0 + steadiness)
             if len(rows):
                 moves[:, bone] = rigid_fit(rest[rows], targets, share**2)
@@ -178,7 +178,7 @@ def rigid_clusters(
         for bone in range(count):
             cost[:, bone] += ((points @ moves[:, bone].swapaxes(-1, -2) - frames) ** 2).sum(axis=-1).mean(axis=0)
         nearest = cost.argmin(axis=1)
-        kept = np.bincount(nearest, minlength=count) >= 3  # a bone of fewer has no motion
+        kept = np.bincount(nearest, minlength=count) >= 3  # Fewer than three vertices do not determine a motion.
         own = np.where(kept[nearest] & kept[own], nearest, own)
     return own, moves
 

@@ -1,4 +1,4 @@
-"""A character in the T-pose of the standard body: its surface there, its joints, and whose part each vertex is.
+"""A character in the T-pose of the standard body: its surface, its joints, and which joints move each vertex.
 
 The alignment A of ``drape.motion.alignment`` brings the T-pose onto the character's rest pose, joint by joint. Its
 inverse moves the surface: with p the joints at rest and p' those of the T-pose, a vertex x with the joints' weights w
@@ -17,8 +17,8 @@ from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from drape.garment.registration import UNIT_SCALES
 from drape.motion.rig_poses import Rig
 
-HEIGHTS_M = (1.0, 2.3)  # of characters that are taken as they are
-ADULT_HEIGHT_M = 1.7  # of what is no person's height in any unit
+HEIGHTS_M = (1.0, 2.3)  # Characters of these heights are taken as they are.
+ADULT_HEIGHT_M = 1.7  # A character that is no person's height in any unit is made as high as this.
 
 
 @dataclass(frozen=True, eq=False)

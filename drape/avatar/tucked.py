@@ -19,7 +19,7 @@ from drape.geometry import meshes
 from drape.geometry.closest import closest_point, nearest_vertices
 
 BAND_M, BELOW_M = 0.2, 0.06
-OFF_SKIN_M = 0.001  # nearer to the skin than trousers are
+OFF_SKIN_M = 0.001  # A tucked top lies nearer to the skin than trousers do.
 
 
 class TuckedTop(NamedTuple):
@@ -60,7 +60,7 @@ def tucked_top(wearer: Wearer, tops: np.ndarray, cloth: Sequence[tuple[np.ndarra
     weights = share * wearer.weights[used] + (1.0 - share) * skin
     at = share * at + (1.0 - share) * (nearest.point + OFF_SKIN_M * out)
     moved = height[faces].min(axis=1) < BAND_M
-    upper = float(height[faces[moved]].max()) + MARGIN_M  # coarse faces reach far above the band
+    upper = float(height[faces[moved]].max()) + MARGIN_M  # Coarse faces reach far above the band.
     off, bare = wearer.attire.of_kinds(SKIN), np.ones(len(body.faces), dtype=bool)
     for there, vertices, own in ((off, wearer.vertices, wearer.faces), (bare, body.v_template, body.faces)):
         there &= _above(vertices, waist)[own].min(axis=1) < upper

@@ -41,11 +41,12 @@ from drape.geometry.skinning import skin_points
 from drape.motion.rig_poses import UNIT_TOLERANCE, Rig, poses_to_rig, rig_to_poses
 
 FORMAT_VERSION = 1
-FIT_VERSION = 5  # raised when a change here changes the bodies that come out
+FIT_VERSION = 5  # It is raised when a change here changes the bodies that come out.
 WORN_NOTHING = Attire((), np.zeros(0, dtype=np.int64), (0.8, 0.66, 0.56), np.zeros((0, 3)))
-FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's; more for one with a deeper trunk than ours
-UPPER = "upper"  # in a file: of the body with its own trousers on
-LIMBS_M = {"leg": (0.25, 1.4), "arm": (0.15, 1.0), "trunk": (0.2, 0.9)}  # lengths of characters that drape
+# A body whose median distance is larger is not the character's. A deeper trunk than ours raises the limit.
+FIT_LIMIT_MM = 25.0
+UPPER = "upper"  # In a file it names the body with the character's own trousers on.
+LIMBS_M = {"leg": (0.25, 1.4), "arm": (0.15, 1.0), "trunk": (0.2, 0.9)}  # Garments can be cut for these lengths.
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +218,7 @@ def upper_body(wearer: Wearer) -> BodyModel:
     """Returns the body of ``wearer`` brought out to the trousers or skirt that it came in; its ``body`` itself where it
     has none, or where they are painted on its skin."""
     stored = (array.astype(np.float32).astype(np.float64) for array in (wearer.vertices, wearer.weights))
-    vertices, weights = stored  # the same before it is stored and after
+    vertices, weights = stored  # They are the same before the character is stored and after.
     pose = TPose(vertices, wearer.faces, weights, wearer.body.joints_template, wearer.scale, wearer.height_m)
     lower = layers_of(wearer.attire, pose).lower
     return enclosing_body(wearer.body, pose.only(lower), wearer.standard) if lower.any() else wearer.body
@@ -226,7 +227,7 @@ def upper_body(wearer: Wearer) -> BodyModel:
 def _checked_fit(distances_mm: np.ndarray, limit_mm: float, name: str, notes: Sequence[str]) -> tuple[float, float]:
     """Median and 95 % of the distances [mm] of a character from its body; refuses those of another body."""
     median_mm, p95_mm = float(np.median(distances_mm)), float(np.quantile(distances_mm, 0.95))
-    if not median_mm <= limit_mm:  # none, where nothing of it is trunk or limb
+    if not median_mm <= limit_mm:  # The median is NaN where nothing of it is trunk or limb.
         cure = " ".join([*(f"{note}." for note in notes), "Send a character with a body in a T- or A-pose."])
         got = f"{median_mm:.0f} mm"
         raise BodyError(name, expected=f"a body that ours fits to {limit_mm:.0f} mm", got=got, cure=cure)
@@ -264,7 +265,7 @@ def rotations(quaternions: Sequence[object] | np.ndarray, nodes: int) -> np.ndar
     and for quaternions whose length is not one."""
     try:
         turns = np.asarray(quaternions, dtype=np.float64)
-    except ValueError:  # frames of different lengths
+    except ValueError:  # Frames differ in length.
         turns = np.zeros(0)
     if turns.ndim != 3 or turns.shape[1:] != (nodes, 4):
         raise MotionError(
@@ -274,7 +275,7 @@ def rotations(quaternions: Sequence[object] | np.ndarray, nodes: int) -> np.ndar
             cure="GET /avatars/ID tells the nodes in their order.",
         )
     lengths = np.linalg.norm(turns, axis=-1)
-    if not (np.abs(lengths - 1.0) <= UNIT_TOLERANCE).all():  # which also catches NaN
+    if not (np.abs(lengths - 1.0) <= UNIT_TOLERANCE).all():  # The negation also catches NaN.
         got = f"lengths from {lengths.min():.4g} to {lengths.max():.4g}"
         raise MotionError("rig_poses", expected="unit quaternions xyzw", got=got, cure="Send rotations without scale.")
     return turns
@@ -355,7 +356,7 @@ def load_wearer(path: Path, body: BodyModel) -> Wearer:
         if header.get("parts"):
             parts = tuple(AttirePart(*one) for one in header["parts"])
             own = arrays["part"].astype(np.int64)
-            colours = arrays.get("colours", np.full((len(own), 3), 160)) / 255.0  # older files have none
+            colours = arrays.get("colours", np.full((len(own), 3), 160)) / 255.0  # Older files have none.
             attire = Attire(parts, own, tuple(header["skin_colour"]), colours)
         nodes = tuple(header["nodes"])
         return Wearer(

@@ -1,7 +1,7 @@
-"""Whether a character can wear a garment: told before anything is cut, by its proportions alone.
+"""Whether a character can wear a garment, by the proportions of its legs, before any cloth is cut.
 
-Cloth is cut for any body; what it cannot do is hang from limbs that are hardly longer than they are thick, as those of
-figures of games are. A tube of cloth round such a limb is wider than long and falls off its end.
+Cloth is cut for any body, but it cannot hang from limbs that are hardly longer than they are thick, as those of figures
+of games are. A tube of cloth round such a limb is wider than long and falls off its end.
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ from drape.garment.avatars import Avatar
 from drape.garment.cache import Garment
 from drape.garment.rest_pose import skirt_blend
 
-THICKEST = 0.45  # of the length of a leg: persons have 0.1, stylised children 0.2, figures of games 0.53 and more
-STOUTEST = 0.55  # skirts, dresses and shorts stand off legs that are thicker, and are trodden on
+# Thickness of legs over their length: persons have 0.1, stylised children 0.2, figures of games 0.53 and more.
+THICKEST = 0.45
+STOUTEST = 0.55  # Skirts, dresses and shorts stand off legs that are thicker, and are trodden on.
 HIP, KNEE, ANKLE = (JOINT_NAMES.index(f"left_{joint}") for joint in ("hip", "knee", "ankle"))
-LEAST_SHARE = 0.1  # of a garment's vertices at the shins, to go round them
+LEAST_SHARE = 0.1  # A garment goes round the shins if a larger share of its vertices is there.
 
 
 class Reach(NamedTuple):

@@ -32,7 +32,7 @@ from drape.files.gltf_compressed import DRACO
 from drape.files.gltf_json import Primitive
 
 SPRINGS = "VRMC_springBone"
-PLAIN = {  # what VRM 0 says of a material that is glTF's own
+PLAIN = {  # VRM 0 says this of a material that is glTF's own.
     "shader": "VRM_USE_GLTFSHADER", "renderQueue": 2000, "floatProperties": {}, "vectorProperties": {},
     "textureProperties": {}, "keywordMap": {}, "tagMap": {},
 }  # fmt: skip
@@ -121,7 +121,7 @@ def _without(file: GlbFile, read: GltfFile, primitive: Primitive, held: dict[str
     """Takes the triangles that are ``off`` (F,) out of a ``primitive``, which is ``held`` in ``file``; of one without
     others a triangle without area stays, for no primitive may be empty."""
     points, faces = triangles_of(read, primitive)
-    if held.get("extensions", {}).pop(DRACO, None) is not None:  # what is packed has triangles of its own
+    if held.get("extensions", {}).pop(DRACO, None) is not None:  # Packed geometry has triangles of its own.
         for name, number in primitive.attributes.items():
             rows = read.array(number)
             rows = rows.astype(np.float32) if rows.dtype == np.float64 else rows

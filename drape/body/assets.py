@@ -29,7 +29,7 @@ from drape.folders import ASSETS
 BODIES_DIR = ASSETS / "bodies"
 DEFAULT_BODY = "anny_default"
 SHAPE_LIMIT = 10
-POSE_COUNT = 9 * (JOINT_COUNT - 1)  # entries of the local rotations that pose blend shapes read
+POSE_COUNT = 9 * (JOINT_COUNT - 1)  # Pose blend shapes read so many entries of the local rotations.
 REQUIRED = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f")
 
 
@@ -213,7 +213,7 @@ class _ArrayUnpickler(pickle.Unpickler):
             ("builtins", "object"),
             ("__builtin__", "set"),  # chumpy keeps the names of its stale variables in one
             ("builtins", "set"),
-            ("numpy.core.numeric", "_frombuffer"),  # arrays of protocol 5
+            ("numpy.core.numeric", "_frombuffer"),  # Pickles of protocol 5 make arrays by it.
             ("numpy._core.numeric", "_frombuffer"),
         }
     )
@@ -222,11 +222,11 @@ class _ArrayUnpickler(pickle.Unpickler):
         if module.startswith("chumpy"):
             return _ChumpyShell  # SMPL's released pickles wrap some arrays in chumpy objects
         if (module, name) == ("_codecs", "encode"):
-            return _latin1_bytes  # how Python 3 writes bytes for protocol 2
+            return _latin1_bytes  # Python 3 writes bytes so for protocol 2.
         if (module, name) not in self.ALLOWED:
             raise pickle.UnpicklingError(f"the file asks for {module}.{name}")
         if module.startswith("scipy.sparse."):
-            module = "scipy.sparse"  # the old submodules end with SciPy 2
+            module = "scipy.sparse"  # The old submodules end with SciPy 2.
         return super().find_class(module.replace("copy_reg", "copyreg").replace("__builtin__", "builtins"), name)
 
 

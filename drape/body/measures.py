@@ -31,11 +31,11 @@ from drape.errors import BodyError
 from drape.geometry import meshes
 from drape.geometry.sections import convex_hull
 
-DENSITY_KG_M3 = 985.0  # of quiet breathing; 945 after a deep breath, 1,060 without air in the lungs
+DENSITY_KG_M3 = 985.0  # Density in quiet breathing: 945 after a deep breath, 1,060 without air in the lungs.
 # Shares of the template's height: from the middle plane, within which a vertex counts as on it; and beside a shoulder
 # joint, within which the highest skin is right above it.
 MIDDLE_SHARE, ABOVE_SHARE = 0.003, 0.01
-LEVEL_COUNT = 60  # at which the template's waist is looked for
+LEVEL_COUNT = 60  # The template's waist is sought at so many heights.
 _ARMS = [i for i, name in enumerate(JOINT_NAMES) if name.split("_")[-1] in ("shoulder", "elbow", "wrist", "hand")]
 _PELVIS, _KNEE, _CHEST = (JOINT_NAMES.index(name) for name in ("pelvis", "left_knee", "spine3"))
 _SHOULDERS = [JOINT_NAMES.index(name) for name in ("left_shoulder", "right_shoulder")]
@@ -94,8 +94,8 @@ class Landmarks:
     trunk: np.ndarray
 
     def levels(self, vertices: np.ndarray) -> SectionHeights:
-        """Returns the heights of the sections of the body with the rest ``vertices`` [m] (V, 3), in any of its shapes.
-        They are linear in ``vertices``."""
+        """Returns the heights y [m] of the sections of the body with the rest ``vertices`` [m] (V, 3), in any of its
+        shapes. They are linear in ``vertices``."""
         chest, seat = float(vertices[self.chest, 1]), float(vertices[self.seat, 1])
         return SectionHeights(chest, seat + self.waist_share * (chest - seat), seat)
 
@@ -131,7 +131,7 @@ def _extreme(values: np.ndarray, among: np.ndarray, name: str) -> int:
 def section_girth(vertices: np.ndarray, edges: np.ndarray, y: float) -> float:
     """Returns the girth [m] of ``edges`` (E, 2) of ``vertices`` [m] (V, 3) at the height ``y`` [m]: the perimeter of
     the convex hull of their section. Raises ``BodyError`` as ``section_tape`` does."""
-    return float(section_tape(vertices, edges, y).hull.area)  # of a plane: its perimeter
+    return float(section_tape(vertices, edges, y).hull.area)  # SciPy calls a plane hull's perimeter its area.
 
 
 def section_tape(vertices: np.ndarray, edges: np.ndarray, y: float) -> Tape:

@@ -1,7 +1,7 @@
-"""Distance of a pose from those that a network was trained on: from the nearest of a few hundred kept ones.
+"""How far a pose lies from those that a network was trained on, of which a few hundred are kept.
 
-Legs and trunk with arms are looked at by themselves, since training mixes the legs of one frame with the trunk of
-another; and the tilt of the pelvis, which the network knows by where gravity points. A turn about the vertical is none.
+Legs and trunk with arms are compared apart, since training mixes the legs of one frame with the trunk of another. So is
+the tilt of the pelvis, which the network knows by the direction of gravity. A turn about the vertical does not count.
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ from drape.errors import ArtifactError
 from drape.files.packed import UNREADABLE
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix, sixd_to_matrix
 
-BODY_JOINTS = range(1, 22)  # without the root and the hands, which are rigid
+BODY_JOINTS = range(1, 22)  # The root and the hands, which are rigid, are left out.
 LEGS = tuple(i for i in BODY_JOINTS if JOINT_NAMES[i].split("_")[-1] in ("hip", "knee", "ankle", "foot"))
 TRUNK = tuple(i for i in BODY_JOINTS if i not in LEGS)
 PARTS = ("legs", "trunk", "tilt")
-SIXD = 6  # numbers of a rotation
-STEPS = 127  # of a stored number, which is one of a rotation matrix
-_FIRST_COLUMNS, _UP = (0, 3, 6, 1, 4, 7), (3, 4, 5)  # entries of a matrix: its 6D form; the world's up in its frame
+SIXD = 6  # A rotation's 6D form has so many numbers.
+STEPS = 127  # Steps in a stored number, which is an entry of a rotation matrix.
+# Entries of a rotation matrix: its 6D form, and the world's up in its frame.
+_FIRST_COLUMNS, _UP = (0, 3, 6, 1, 4, 7), (3, 4, 5)
 PART_ENTRIES = (*([9 * joint + i for joint in joints for i in _FIRST_COLUMNS] for joints in (LEGS, TRUNK)), _UP)
-_TAKEN = np.concatenate(PART_ENTRIES)  # the entries of a pose's matrices that are compared, part after part
+_TAKEN = np.concatenate(PART_ENTRIES)  # Entries of a pose's matrices that are compared, part after part.
 _ENDS = np.cumsum([len(part) for part in PART_ENTRIES]).tolist()
 PART_SLICES = tuple(slice(end - len(part), end) for part, end in zip(PART_ENTRIES, _ENDS, strict=True))
 PART_JOINTS = np.array([max(1, len(part) // SIXD) for part in PART_ENTRIES], dtype=np.float32)
@@ -100,7 +101,8 @@ def mixed_poses(support: PoseSupport, count: int, *, seed: int = 0) -> np.ndarra
         turns[:, list(joints)] = sixd_to_matrix(sixd)
     up = support.tilt[draw.integers(0, len(support.tilt), len(turns))].astype(np.float64)
     up /= np.linalg.norm(up, axis=1, keepdims=True)
-    axis = np.stack([-up[:, 2], np.zeros(len(up)), up[:, 0]], axis=1)  # the shortest turn from there to y
+    # It is the axis of the shortest turn from there to y.
+    axis = np.stack([-up[:, 2], np.zeros(len(up)), up[:, 0]], axis=1)
     sine = np.linalg.norm(axis, axis=1, keepdims=True)
     turns[:, 0] = rotvec_to_matrix(axis / np.maximum(sine, 1e-9) * np.arctan2(sine, up[:, 1:2]))
     return matrix_to_rotvec(turns)

@@ -22,15 +22,15 @@ from drape.body.measures import Measures, measures
 from drape.body.model import BodyModel
 from drape.errors import BodyError
 
-LIMIT = 3.0  # standard deviations; one body in 370 is further out in a given way
+LIMIT = 3.0  # In standard deviations: one body in 370 is further out in a given direction.
 ACCURACY = Measures(*(1e-3,) * 7, weight_kg=0.1)
-MISSED = Measures(*(5e-3,) * 7, weight_kg=0.5)  # beyond it a measure counts as missed
-STEPS, DONE = 12, 1e-4  # at most so many; a shape that changes less is found
+MISSED = Measures(*(5e-3,) * 7, weight_kg=0.5)  # A measure that is off by more counts as missed.
+STEPS, DONE = 12, 1e-4  # At most so many steps are taken, until coefficients change by less.
 
 
 class FoundShape(NamedTuple):
     """A shape ``betas`` (S,) and the measures that it ``reached``. ``missed`` has, by name, how far [m, kg] a measure
-    lies above (positive) or below the wanted one, where that is more than ``MISSED``."""
+    lies above (positive) or below what was asked, where that is more than ``MISSED``."""
 
     betas: np.ndarray
     reached: Measures
@@ -38,13 +38,13 @@ class FoundShape(NamedTuple):
 
 
 def shape_of_measures(body: BodyModel, asked: Mapping[str, float], *, limit: float = LIMIT) -> FoundShape:
-    """Returns the likeliest shape of ``body`` that has the measures ``wanted`` [m, kg], by their names in ``Measures``.
+    """Returns the likeliest shape of ``body`` that has the measures ``asked`` [m, kg], by their names in ``Measures``.
 
     A measure that is left out gets its likeliest value beside those that are given. Raises ``BodyError`` for no measure
     at all, an unknown name, and a measure that no shape within ``limit`` standard deviations has. Measures that exclude
     each other are no error: the result says what is ``missed``.
     """
-    from scipy.optimize import lsq_linear  # a tenth of a second, which a start need not wait for
+    from scipy.optimize import lsq_linear  # The import takes a tenth of a second, which a start need not wait for.
 
     names = _checked(body, asked, limit)
     rows = [Measures._fields.index(name) for name in names]
@@ -91,7 +91,7 @@ def _checked(body: BodyModel, asked: Mapping[str, float], limit: float) -> list[
     ranges = measure_ranges(body, limit)
     for name in names:
         low, high = ranges[name]
-        if not low <= asked[name] <= high:  # the negation also catches NaN
+        if not low <= asked[name] <= high:  # The negation also catches NaN.
             unit = name.rpartition("_")[2]
             expected, cure = f"{low:.3g} to {high:.3g} {unit}, which this body can have", "Lengths are in metres."
             raise BodyError(name, expected=expected, got=f"{asked[name]:g} {unit}", cure=cure)

@@ -26,7 +26,7 @@ from drape.files.atomic import whole_file
 
 SCENES = (".usda", *USD_SUFFIXES, VAT_SUFFIX)
 SUFFIXES = (".glb", ".npy", ".pc2", ".mdd", *SCENES)
-CACHES = (".pc2", ".mdd")  # points without a mesh, which comes beside
+CACHES = (".pc2", ".mdd")  # Such files have points and no mesh, which is written beside them.
 
 
 def check_name(path: Path, suffixes: Sequence[str] = SUFFIXES) -> None:

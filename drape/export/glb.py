@@ -25,9 +25,10 @@ from drape.geometry import meshes
 from drape.wanted import go_on
 
 GARMENT_COLOURS = ((0.18, 0.42, 0.72, 1.0), (0.62, 0.17, 0.19, 1.0), (0.16, 0.38, 0.26, 1.0), (0.40, 0.28, 0.55, 1.0))
-STEPS = 32767  # from 0 to the box's end
+STEPS = 32767  # So many steps go from 0 to the box's end.
 NORMAL_STEPS = 127
-SHORTEST = 0.05  # to which a normal is shortened at most, so that its way from the first frame's fits into [-1, 1]
+# A normal is shortened at most to this length, so that its difference from the first frame's fits into [-1, 1].
+SHORTEST = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +59,7 @@ def split_seams(garment: Surface) -> Corners:
     source = np.concatenate([np.arange(garment.vertex_count), unique[~first, 0]])
     uv = np.zeros((len(source), 2))
     uv[place] = garment.uv[unique[:, 1]]
-    uv[:, 1] = 1.0 - uv[:, 1]  # glTF counts v from the top
+    uv[:, 1] = 1.0 - uv[:, 1]  # glTF counts v from the top.
     return Corners(source, place[inverse.reshape(-1)].reshape(-1, 3), uv)
 
 
@@ -189,7 +190,7 @@ def _box(frames: np.ndarray, root_motion: RootMotion) -> tuple[np.ndarray, float
     for frame in range(1, len(frames)):
         go_on()
         reach = max(reach, np.abs(root_motion.towards_root(frames[frame], frame) - first).max())
-    return centre, float(max(reach, 1e-6)) * (1.0 + 1.0 / STEPS)  # rounding may make a way longer by a step
+    return centre, float(max(reach, 1e-6)) * (1.0 + 1.0 / STEPS)  # Rounding may make a way longer by a step.
 
 
 def _steps(

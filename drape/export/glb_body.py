@@ -40,7 +40,7 @@ def add_body(
         file.add("nodes", node)
     file.json["scenes"][0]["nodes"].append(first)
     binds = np.tile(np.eye(4, dtype=np.float32), (len(joints), 1, 1))
-    binds[:, 3, :3] = -joints  # column-major: the translation is the last row as stored
+    binds[:, 3, :3] = -joints  # glTF stores matrices column by column, so the translation is the last row.
     bones, weights = heaviest_bones(body)
     attributes = {
         "POSITION": file.array(rest.astype(np.float32), target=VERTEX_BUFFER, bounds=True),

@@ -1,4 +1,4 @@
-"""A GLB file as it grows: arrays one after the other, the rest into JSON (glTF 2.0, 12.1 of the specification)."""
+"""A GLB file while it is written: arrays one after the other, the rest as JSON (glTF 2.0, section 12.1)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TEXTURES = {
 _COMPONENTS = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125, "float32": 5126}
 _SHAPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
-Channel = tuple[int, str, np.ndarray]  # node, path, values per frame
+Channel = tuple[int, str, np.ndarray]  # A node's index, the path that is animated, and its values in each frame.
 
 
 class GlbFile:
@@ -46,9 +46,10 @@ class GlbFile:
         for key in ("nodes", "meshes", "materials", "accessors", "bufferViews"):
             self.json.setdefault(key, [])
         self._arrays: list[np.ndarray] = []
-        self._size = 0  # of the binary chunk so far
+        self._size = 0  # The size [bytes] of the binary chunk so far.
         self._animation: dict[str, Any] | None = None
-        self._textures: dict[int, tuple[bytes, int]] = {}  # by the picture's id, which holds while it is kept
+        # Keys are ids of pictures, which hold while the pictures are kept.
+        self._textures: dict[int, tuple[bytes, int]] = {}
         if binary:
             self._append(np.frombuffer(binary, np.uint8))
 

@@ -135,7 +135,7 @@ def _stored(picture: bytes, folder: Path | None) -> str:
     if picture not in held:
         held[picture] = f"{len(list(folder.iterdir()))}.{ending}"
         (folder / held[picture]).write_bytes(picture)
-    return f"./{held[picture]}"  # of this folder: other names are looked for where USD has its own
+    return f"./{held[picture]}"  # USD seeks names without "./" in its own folders.
 
 
 def _material(stage: Any, path: str, look: Material, pictures: dict[str, str]) -> Any:

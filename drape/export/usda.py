@@ -13,8 +13,8 @@ import numpy as np
 
 from drape.export.surface import MovingGarment
 
-ROWS_A_PIECE = 1024  # half a millisecond of the formatter, which holds the interpreter lock
-POINT_BYTES = 28  # about
+ROWS_A_PIECE = 1024  # The formatter holds the interpreter lock for half a millisecond.
+POINT_BYTES = 28  # A point takes about so many bytes.
 
 
 def usda_pieces(layers: Sequence[MovingGarment], fps: float, *, point: np.ndarray | None = None) -> Iterator[bytes]:

@@ -26,7 +26,7 @@ from drape.geometry import meshes
 from drape.wanted import go_on
 
 SUFFIX, ENDING = ".exr", "_vat"
-WIDTH = 8192  # of a texture that every engine takes
+WIDTH = 8192  # Every engine takes textures of this width.
 MOST_ROWS = 16384
 
 

@@ -17,7 +17,7 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
     try:
         with os.fdopen(handle, "wb") as stream:
             yield stream
-        os.chmod(temporary, 0o644)  # mkstemp makes the file private
+        os.chmod(temporary, 0o644)  # mkstemp makes the file private.
         os.replace(temporary, path)
     except BaseException:
         Path(temporary).unlink(missing_ok=True)

@@ -1,10 +1,10 @@
-"""Reads the FBX file on standard input by the package ufbx; writes what is in it as an npz to standard output.
+"""Reads the FBX file on standard input by the package ufbx; writes its contents as an npz to standard output.
 
-With the argument ``motion`` these are its nodes in the frames of its longest animation, or of that which is named.
+With the argument ``motion`` these are its nodes in the frames of its longest animation, or of the one that is named.
 
-A process of its own: ufbx 0.0.5 frees memory that is still in use (``mesh.faces``, a material's maps), and then it
-crashes. Here every object is kept until the process ends, which it does without freeing any. It limits itself, since
-files are strangers'.
+It is a process of its own, since ufbx 0.0.5 frees memory that is still in use (``mesh.faces``, a material's maps), and
+then it crashes. Here every object is kept until the process ends, which it does without freeing any. It limits its own
+memory and time, since files are strangers'.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 MEMORY_BYTES, CPU_S = 3 * 2**30, 60
-DEEPEST = 500  # nodes within each other
+DEEPEST = 500  # Nodes may lie so deep within each other.
 MOST_NUMBERS = 60_000_000
-MOST_MATRICES = 600_000  # of frames and nodes
+MOST_MATRICES = 600_000  # Frames times nodes.
 NUMBERS = ("base_factor", "metalness", "roughness", "opacity")
 MAPS = {
     "base_color": ("pbr",),
@@ -35,7 +35,7 @@ _KEPT: list[Any] = []
 
 
 def _of(owner: Any, name: str | int) -> Any:
-    """The attribute ``name``, or the item of that number, of ``owner``. It is kept."""
+    """The attribute, or the item, ``name`` of ``owner``, kept until the process ends."""
     value = owner[name] if isinstance(name, int) else getattr(owner, name)
     _KEPT.append(value)
     return value
@@ -169,7 +169,8 @@ def _look(material: Any, textures: list[Any]) -> dict[str, Any]:
     for name, places in MAPS.items():
         for held in (_of(sides[side], name) for side in places):
             texture = _of(held, "texture") if held.texture_enabled else None
-            files = [] if texture is None else _all(_of(texture, "file_textures"))  # of layers the lowest
+            # Of several layers the lowest is read.
+            files = [] if texture is None else _all(_of(texture, "file_textures"))
             if files and name not in look["pictures"]:
                 known = [one.element_id for one in textures]
                 if files[0].element_id not in known:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-HEAD_BYTES = 2048  # the beginning of a file, by which its format is known
+HEAD_BYTES = 2048  # A file's format is known by so many bytes at its beginning.
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,8 @@ MESH_FORMATS: tuple[MeshFormat, ...] = (
 MESH_NAMES: tuple[str, ...] = tuple(one.name for one in MESH_FORMATS)
 AVATAR_SUFFIXES = (".glb", ".vrm")
 MESH_SUFFIXES: tuple[str, ...] = tuple(one.suffix for one in MESH_FORMATS)
-BESIDE_SUFFIXES = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".webp", ".tga", ".bmp", ".ktx2")  # of what meshes name
+# Meshes name files with these suffixes.
+BESIDE_SUFFIXES = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".webp", ".tga", ".bmp", ".ktx2")
 MESH_CONTENT_TYPES: dict[str, str] = {kind: one.name for one in MESH_FORMATS for kind in one.content_types}
 
 

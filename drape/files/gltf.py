@@ -21,7 +21,7 @@ from drape.files.gltf_json import EXPORT, SHRINK, Document, document_of, shown
 
 FILE_BYTES = 96 * 2**20
 JSON_BYTES = 16 * 2**20
-MOST_NUMBERS = 16_000_000  # of an accessor: a million vertices have three million
+MOST_NUMBERS = 16_000_000  # The most numbers of an accessor: a million vertices have three million.
 COMPONENTS = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")

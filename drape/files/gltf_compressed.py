@@ -43,7 +43,7 @@ def draco_parts(payload: bytes, primitive: Primitive, label: str) -> dict[int, n
             arrays[primitive.indices] = np.asarray(mesh.faces).reshape(-1, 1)
     except MemoryError:
         raise
-    except Exception as error:  # a broken file can raise anything inside the library
+    except Exception as error:  # A broken file can raise anything inside the library.
         got = f"{type(error).__name__}: {error}"[:80]
         raise MeshError(label, expected="a mesh that can be unpacked", got=got, cure=EXPORT) from error
     return arrays

@@ -12,17 +12,19 @@ from pydantic.alias_generators import to_camel
 
 from drape.errors import MeshError
 
-MOST_MARKS = 2_000_000  # commas, colons and brackets: the parser's objects; a character with 76 clips has 283,000
+# Commas, colons and brackets, as many as the parser makes objects: a character with 76 clips has 283,000.
+MOST_MARKS = 2_000_000
 MOST_NODES = 4096
-FIRST_ONLY = Field(fail_fast=True)  # one fault of a list is told, however many it has
-READ_WITHOUT = re.compile(  # extensions of clips and light, which are not read, and those that are
+FIRST_ONLY = Field(fail_fast=True)  # Only the first fault of a list is reported.
+# Extensions that are read, and those of materials, lights and clips, which do not change meshes.
+READ_WITHOUT = re.compile(
     r"(KHR_materials|KHR_texture|EXT_texture|MSFT_texture|KHR_lights|KHR_xmp|KHR_animation|VRMC)_\w+"
     r"|VRM|KHR_mesh_quantization|KHR_draco_mesh_compression|EXT_meshopt_compression"
 )
 EXPORT, SHRINK = "Export it again.", "Remove custom properties (extras) and clips."
 
 Index = Annotated[int, Field(ge=0)]
-Text = Annotated[str, Field(max_length=1000)]  # with a length, or else pydantic takes what UTF-8 cannot say
+Text = Annotated[str, Field(max_length=1000)]  # Without a length pydantic takes text that UTF-8 cannot encode.
 Indices = Annotated[list[Index], FIRST_ONLY]
 Objects = Annotated[list[dict[str, Any]], FIRST_ONLY]
 Number = Annotated[float, Field(ge=-1e9, le=1e9)]
@@ -32,7 +34,7 @@ Sixteen = Annotated[list[Number], Field(min_length=16, max_length=16), FIRST_ONL
 
 
 class Part(BaseModel):
-    """A part of the JSON, read strictly."""
+    """A part of a glTF document. Types are checked strictly, and fields that it does not name are passed over."""
 
     model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False, alias_generator=to_camel)
 

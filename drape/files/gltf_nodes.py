@@ -11,7 +11,7 @@ from drape.errors import MeshError
 from drape.files.gltf import GltfFile
 from drape.files.gltf_json import EXPORT, Node
 
-MOST_DEPTH = 256  # of a node below those above it
+MOST_DEPTH = 256  # A node has at most so many nodes above it.
 
 
 def tree_of(file: GltfFile) -> tuple[list[int], tuple[int, ...]]:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
 SIGNATURE = b"\xabKTX 20\xbb\r\n\x1a\n"
-SIZE_AT = 20  # of width and height
+SIZE_AT = 20  # Width and height begin at this byte.
 
 
 def ktx2_picture(payload: bytes, *, side: int, most_pixels: int, label: str) -> Image.Image:

@@ -81,8 +81,8 @@ def media_type(picture: bytes) -> str:
 
 
 def looks_of(description: dict[str, Any], content: np.ndarray) -> Looks:
-    """Returns the looks that ``description`` describes, which ``Looks.to_json`` returned. ``content`` (n,) are the
-    bytes of all pictures, one after the other.
+    """Returns the looks that ``description`` describes, which ``Looks.to_json`` returned. ``content`` (n,), uint8, are
+    the bytes of all pictures, one after the other.
 
     Raises ``ValueError`` or ``TypeError`` where the two do not fit.
     """

@@ -16,8 +16,8 @@ import numpy as np
 UNREADABLE = (
     OSError,
     ValueError,
-    TypeError,  # a bare .npy is an array, which no `with` takes
-    AttributeError,  # a header that is no object
+    TypeError,  # A bare .npy is an array, which no `with` takes.
+    AttributeError,  # A header may be no object.
     KeyError,
     EOFError,
     zipfile.BadZipFile,

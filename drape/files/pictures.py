@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 READ = ("PNG", "JPEG", "WEBP", "TGA", "BMP")
 KINDS = ", ".join((*READ, "KTX2"))
 Channel = tuple[bytes, int]
-MOST_PIXELS = 2**26  # 8192 x 8192
+MOST_PIXELS = 2**26  # 8192 x 8192.
 LARGEST_SIDE = 2048
-MOST_BYTES = 48 * 2**20  # of the pictures of a garment, made anew
+MOST_BYTES = 48 * 2**20  # All pictures of a garment, made anew, have at most so many bytes.
 
 
 def remade(payload: bytes, *, label: str, side: int = LARGEST_SIDE) -> bytes:
@@ -32,13 +32,13 @@ def remade(payload: bytes, *, label: str, side: int = LARGEST_SIDE) -> bytes:
         with _opened(payload, side, label) as image:
             kind, (width, height) = image.format, image.size
             if width * height <= MOST_PIXELS:
-                image.draft("RGB", (side, side))  # of a JPEG that is larger only what is needed
+                image.draft("RGB", (side, side))  # Of a larger JPEG this decodes only what is needed.
                 has_alpha = "A" in image.getbands() or "transparency" in image.info
                 plain = image.convert("RGBA" if has_alpha else "RGB")
                 if has_alpha and plain.getchannel("A").getextrema() == (255, 255):
                     plain = plain.convert("RGB")
                 plain.thumbnail((side, side))
-                plain.info.clear()  # comments and profiles would be written again
+                plain.info.clear()  # Comments and profiles would be written again.
                 out = io.BytesIO()
                 if kind in ("JPEG", "WEBP", None) and plain.mode == "RGB":
                     plain.save(out, "JPEG", quality=92)
@@ -47,7 +47,7 @@ def remade(payload: bytes, *, label: str, side: int = LARGEST_SIDE) -> bytes:
                 return out.getvalue()
     except (MemoryError, MeshError):
         raise
-    except Exception as error:  # a broken file can raise anything inside the library
+    except Exception as error:  # A broken file can raise anything inside the library.
         got = "too many pixels" if isinstance(error, Image.DecompressionBombError) else f"{type(error).__name__}"
         raise MeshError(label, expected=f"a whole {KINDS}", got=got, cure="Export it again.") from error
     got = f"{width} x {height}"

@@ -17,7 +17,7 @@ from drape.errors import MotionError
 from drape.geometry.rotations import cross, rotvec_to_matrix
 from drape.motion.t_pose import BONE_CHILD
 
-# From the ankle to the ball of a foot that stands flat.
+# The direction from the ankle to the ball of a foot that stands flat.
 SLOPING_FOOT = np.array([0.0, -0.416, 0.909])
 
 # A foot whose rest direction is this steep (horizontal share) has no heading.
@@ -76,7 +76,7 @@ def rest_alignment(
             left = across - (across @ chest) * chest
             if np.linalg.norm(left) > _STEEP_ARMS * np.linalg.norm(across):
                 alignment[joint] = _frame(left, chest)
-    for joint_name in ("spine1", "spine2"):  # a short trunk turns as one, twist of the chest and all
+    for joint_name in ("spine1", "spine2"):  # A trunk of one node turns as one, with the twist of the chest.
         if "spine3" in sources and sources.get(joint_name) == sources["spine3"]:
             alignment[JOINT_NAMES.index(joint_name)] = alignment[JOINT_NAMES.index("spine3")]
     return alignment

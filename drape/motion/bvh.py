@@ -24,7 +24,7 @@ _CHANNELS = {f"{axis}{kind}" for axis in "xyz" for kind in ("position", "rotatio
 @dataclass
 class _Joint:
     name: str
-    parent: int  # -1 of the root
+    parent: int  # The root has -1.
     offset: list[float] | None = None
     channels: list[str] = field(default_factory=list)
 
@@ -61,8 +61,8 @@ def read_bvh(path: Path, *, metres_per_unit: float | None = None, up: str | None
 def _parse_hierarchy(path: Path, lines: list[Line]) -> tuple[list[_Joint], int]:
     """The joints, parents first, and the index of the line MOTION."""
     joints: list[_Joint] = []
-    open_blocks: list[int] = []  # joint of each open brace
-    announced: list[int] = []  # named, but its brace not yet open
+    open_blocks: list[int] = []  # The joint of each open brace.
+    announced: list[int] = []  # Joints that are named, and whose brace is not open yet.
     for at, (number, words) in enumerate(lines[1:], 1):
         # Some writers open the brace on the line of the name.
         brace_follows = words[-1] == "{" and len(words) > 1

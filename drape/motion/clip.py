@@ -69,7 +69,7 @@ class MotionClip:
         frames."""
         _check_rate("fps", fps)
         count = int(np.floor((self.frame_count - 1) * (fps / self.fps) + _KNOT_TOLERANCE)) + 1
-        place = np.arange(count) * (self.fps / fps)  # in source frames
+        place = np.arange(count) * (self.fps / fps)  # It counts this clip's frames.
         nearest = np.rint(place)
         place = np.where(np.abs(place - nearest) < _KNOT_TOLERANCE, nearest, place)
         before = np.minimum(np.floor(place).astype(np.int64), self.frame_count - 1)

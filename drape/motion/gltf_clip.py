@@ -18,9 +18,9 @@ from drape.geometry.rotations import matrix_to_quaternion, quaternion_slerp
 from drape.motion.clip import MotionClip
 from drape.motion.node_clip import MovingNodes, check_node_count, file_bytes, node_clip
 
-RATES = (15.0, 120.0)  # of the clip: that of its keys, within these
-ROUNDING_S = 1e-5  # of times in float32: a key so little later than a frame is at it
-SPARSE_RATE = 30.0  # where keys are farther apart than at the lowest
+RATES = (15.0, 120.0)  # A clip has the rate of its keys, within these limits.
+ROUNDING_S = 1e-5  # A key that is later than a frame by less is at it: times are float32.
+SPARSE_RATE = 30.0  # The rate of a clip whose keys are farther apart than at the lowest rate.
 WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 
 
@@ -55,7 +55,7 @@ class Animation(Part):
     samplers: Annotated[list[Sampler], FIRST_ONLY]
 
 
-Keys = tuple[np.ndarray, np.ndarray, str]  # times (K,) [s], values (K, n) and what lies between them
+Keys = tuple[np.ndarray, np.ndarray, str]  # Times (K,) [s], values (K, n) and how values lie between them.
 
 
 def read_gltf_motion(path: Path, *, clip: str | None = None) -> MotionClip:
@@ -108,7 +108,7 @@ def _tracks(file: GltfFile, animation: Animation) -> Tracks:
     tracks: Tracks = {}
     for channel in animation.channels:
         width = WIDTHS.get(channel.target.path)
-        if width is None or channel.target.node is None:  # morphs, and what extensions move
+        if width is None or channel.target.node is None:  # Morph targets are not read, nor what extensions move.
             continue
         file.item("nodes", channel.target.node, "animation.channels.target")
         if channel.sampler >= len(animation.samplers):

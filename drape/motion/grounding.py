@@ -17,7 +17,7 @@ from drape.motion.t_pose import CANONICAL_FLOOR, CANONICAL_JOINTS, JOINT_INDEX
 # Heel behind the ankle and tip before the joint of the toes [m], for a foot of average size.
 HEEL_BEHIND = 0.045
 TIP_AHEAD = 0.065
-NOTED_M = 0.15  # from the ground: a jump lands, and a floor may have a step
+NOTED_M = 0.15  # A lowest sole so near to the ground needs no note: a jump lands, and a floor may have a step.
 
 
 def place_on_ground(clip: MotionClip, rest_joints: np.ndarray, *, floor: float) -> MotionClip:

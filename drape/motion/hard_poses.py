@@ -16,9 +16,9 @@ from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.clip import MotionClip, clean_windows
 
 POOL_FPS = 10.0
-WINDOW = 5  # frames without a glitch around a pose
+WINDOW = 5  # So many frames around a pose have no glitch.
 UPRIGHT_COSINE = float(np.cos(np.deg2rad(45.0)))
-OVERLAP_LIMIT_PCT = 2.5  # of the body's vertices that lie inside the body: cloth cannot be there
+OVERLAP_LIMIT_PCT = 2.5  # Cloth has no room where more of the body's vertices lie inside the body.
 SKIN_M = 0.002
 
 
@@ -59,7 +59,7 @@ def body_overlap_pct(body: BodyModel, pose: np.ndarray) -> float:
     normals, in percent. Head and hands do not count. ``pose`` is (24, 3) [rad]."""
     posed = np.ascontiguousarray(body.posed_vertices(pose[None])[0])
     lifted = posed + SKIN_M * meshes.vertex_normals(posed, body.faces)
-    detail = body.weights[:, [15, 22, 23]].sum(axis=1) > 0.5  # the mouth's inside and the fingers always touch
+    detail = body.weights[:, [15, 22, 23]].sum(axis=1) > 0.5  # The mouth's inside and the fingers always touch.
     winding = igl.fast_winding_number(posed, body.faces, np.ascontiguousarray(lifted[~detail]))
     return 100.0 * float((np.asarray(winding) > 0.5).mean())
 

@@ -63,7 +63,7 @@ _SCHEMES = {
         "hip": ("upperleg", "thigh", "upperleg01", "thighbend"),
         "knee": ("lowerleg", "calf", "shin", "lowerleg01"),
         "ankle": ("foot",),
-        "foot": ("toes", "toebase", "ball", "toe", "toe0", "toe21", "toe11"),  # MakeHuman's second toe points ahead
+        "foot": ("toes", "toebase", "ball", "toe", "toe0", "toe21", "toe11"),  # MakeHuman's second toe points ahead.
         "collar": ("shoulder", "clavicle", "collar"),
         "shoulder": ("upperarm", "upperarm01", "shldrbend", "shldr"),
         "elbow": ("lowerarm", "forearm", "lowerarm01", "forearmbend"),
@@ -82,7 +82,7 @@ _SCHEMES = {
     },
 }
 
-# Of several the first wins: necks of two or three joints are told by their lowest.
+# The first of several names wins, so a neck of two or three joints is its lowest joint.
 _NECK = ("neck", "neckm", "lowerneck", "neck0", "neck1", "neck01", "necklower", "necktwist01", "spine004", "首")
 _HEAD = ("head", "headm", "head1", "spine006", "頭")
 
@@ -108,7 +108,7 @@ def match_joints(names: Sequence[str], parents: Sequence[int], *, label: str) ->
         joint: plain[word]
         for joint, words in (("neck", _NECK), ("head", _HEAD))
         for word in words[::-1]
-        if word in plain and plain[word] not in trunk  # a trunk of four joints may end in "spine004"
+        if word in plain and plain[word] not in trunk  # A trunk of four joints may end in "spine004".
     }
 
 
@@ -186,7 +186,7 @@ def _trunk(parents: Sequence[int], sources: dict[str, int]) -> list[int]:
     """Joints from above the pelvis up to the one from which the arms branch, in order."""
     left, right = (ancestors(parents, sources[f"{side}_shoulder"]) for side in ("left", "right"))
     arms = {sources.get(f"{side}_{joint}") for side in ("left", "right") for joint in ("collar", "shoulder")}
-    below = set(ancestors(parents, sources["pelvis"]))  # a root or reference joint may carry the pelvis
+    below = set(ancestors(parents, sources["pelvis"]))  # A root or reference joint may carry the pelvis.
     shared = [joint for joint in left if joint in right and joint not in arms and joint not in below]
     return shared[::-1]
 

@@ -18,8 +18,8 @@ from drape.geometry.rotations import quaternion_to_matrix
 from drape.motion.clip import MotionClip
 from drape.motion.retarget import SourceSkeleton, retarget
 
-MOST_MATRICES = 4_000_000  # of frames and nodes
-STILL_SHARE = 1e-4  # of the skeleton's extent: a node that moves less from its parent does not
+MOST_MATRICES = 4_000_000  # Frames times nodes.
+STILL_SHARE = 1e-4  # A node that moves from its parent by less than this share of the skeleton's extent does not move.
 
 
 @dataclass(frozen=True, eq=False)

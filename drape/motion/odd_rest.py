@@ -1,8 +1,8 @@
-"""Rest poses that no person takes: what their bones tell of trunk and limbs, and what only the motion does.
+"""Rest poses that no person takes: what their bones say of trunk and limbs, and what only the motion says.
 
-A bone tells two of the three angles of its joint, not its twist. Chest and pelvis are told whole, by the
-lines between the arms and between the hips. Other twists are told by a rest pose that a person can take;
-where it is none, they are those that people keep on average, which is zero in a limb and an even share in a trunk.
+A bone fixes two of the three angles of its joint, and leaves its twist open. The lines between the hips and between the
+arms fix the twist of pelvis and chest. Other twists follow from a rest pose that a person can take. Where it is none,
+they are those that people keep on average: zero in a limb, and an even share in a trunk.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from drape.motion.t_pose import BONE_CHILD, BONE_DIRECTIONS, JOINT_INDEX
 
 # Farther [rad] from its T-pose direction, seen from its parent, no person holds a bone (LAFAN lays all along x).
 _FAR = {"collar": 1.0, "shoulder": 2.0, "elbow": 2.0, "hip": 2.0, "knee": 2.5}
-_ASIDE = {"hip": 0.8, "knee": 0.4}  # the share of a leg's bone that lies aside, at the most
+_ASIDE = {"hip": 0.8, "knee": 0.4}  # At most this share of a leg's bone lies aside.
 _LIMBS = ("collar", "shoulder", "elbow", "wrist", "hand"), ("hip", "knee", "ankle", "foot")
-_FAR_TIP = 1.0  # [rad], of head, hand and toes from what carries them, at rest and on average in the clip
+_FAR_TIP = 1.0  # People turn head, hand and toes by less [rad] from what carries them, at rest or on average in a clip.
 
 # Bones of a straight trunk turn by less than this [rad] from one to the next, the shipped body's by 0.8 where the
 # spine begins; where the trunk stands over legs that stand, within _LEAN, by less than _SHARP_KINK.
 _KINK, _SHARP_KINK, _LEAN = 0.9, 1.3, 0.2
-_SHORT = 0.08  # of a trunk: a shorter bone has no say
-_TRUNK_TWIST = 0.7  # [rad], more than a joint of a trunk keeps on average beside what the rest pose tells
+_SHORT = 0.08  # A bone with a smaller share of the trunk's length does not count.
+_TRUNK_TWIST = 0.7  # A joint of a trunk is twisted by less [rad] on average, beside the rest pose's own twist.
 
 # More [rad] than people keep a joint twisted on average.
 _TWIST = {"neck": 0.9, "head": 0.9, "collar": 0.9, "shoulder": 2.0, "elbow": 1.7, "wrist": 1.7, "hand": 0.9}
@@ -129,7 +129,8 @@ def turn_tips(turned: np.ndarray, tips: Mapping[str, np.ndarray], alignment: np.
         joint = JOINT_INDEX[name]
         carrier = alignment[PARENTS[joint]]
         expected = carrier @ (SLOPING_FOOT if name.endswith("ankle") else np.array(BONE_DIRECTIONS[name]))
-        held = 0.5 * (np.trace(_relative(turned, PARENTS[joint], joint).mean(axis=0)) - 1.0)  # cosine of the mean turn
+        # It is the cosine of the mean turn.
+        held = 0.5 * (np.trace(_relative(turned, PARENTS[joint], joint).mean(axis=0)) - 1.0)
         if name in odd or max(held, tip @ expected) < np.cos(_FAR_TIP):
             own = least_turn(expected, tip, carrier) @ carrier
             turned[:, joint] @= alignment[joint].T @ own
@@ -168,7 +169,7 @@ def keep_mean_twists(
                 if PARENTS[leaf] == joint and JOINT_NAMES[leaf] not in sources:
                     turned[:, leaf] = turned[:, joint]
                 elif PARENTS[leaf] == joint and JOINT_NAMES[leaf] not in {*BONE_CHILD, *tips}:
-                    turned[:, leaf] @= undo  # it shares its parent's alignment
+                    turned[:, leaf] @= undo  # Such a joint shares its parent's alignment.
 
 
 def _relative(turned: np.ndarray, parent: int, joint: int) -> np.ndarray:

@@ -35,7 +35,7 @@ _AXES = {sign + axis: np.eye(3)["xyz".index(axis)] * float(f"{sign}1") for sign 
 # What speaks for an axis to be up beside people's standing along it: that it is y, that the skeleton rests along it,
 # that feet stand at its zero. Feet outweigh either of the others, since a lying person has them there by chance only.
 _HABIT, _RESTS, _STANDS = 1.0, 1.1, 1.3
-_NEAR_FLOOR = 0.2  # [m], of ankles that stand
+_NEAR_FLOOR = 0.2  # Ankles that stand are at most so high [m].
 
 
 @dataclass(frozen=True)

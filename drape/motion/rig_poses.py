@@ -1,11 +1,10 @@
 """Poses of any avatar's rig as SMPL poses, and SMPL poses on any rig.
 
-A node's local rotation is told from its parent, in axes that its maker chose. With
-``W`` the world rotations of the rest pose, ``P`` that of the parent and ``R_rest`` the
-node's own local rest rotation, ``q_local = P^-1 q_norm P R_rest``: ``q_norm`` is what
-the joint turns by in the world's axes, zero in the rest pose. A rig that rests in an
-A-pose has a ``q_norm`` of zero there, so the turns from the T-pose to its rest pose
-are measured on its bones and taken out (``drape.motion.alignment``).
+A node's local rotation is relative to its parent, in axes that its maker chose. With ``W`` the world rotations of the
+rest pose, ``P`` that of the parent and ``R_rest`` the node's own local rest rotation, ``q_local = P^-1 q_norm P
+R_rest``: ``q_norm`` is what the joint turns by in the world's axes, zero in the rest pose. A rig that rests in an
+A-pose has a ``q_norm`` of zero there, so the turns from the T-pose to its rest pose are measured on its bones and taken
+out (``drape.motion.alignment``).
 """
 
 from __future__ import annotations
@@ -89,7 +88,7 @@ class Rig:
             check_shape(name, array, shape, error=MotionError)
             check_finite(name, array, error=MotionError)
             object.__setattr__(self, name, array)
-        _ = self.alignment  # a rig of no person is refused at once
+        _ = self.alignment  # This refuses a rig of no person at once.
 
     @cached_property
     def sources(self) -> dict[str, int]:
@@ -125,7 +124,7 @@ class Rig:
             up=_up(self.rest_positions, self.sources),
         )
         for side in SIDES:
-            if f"{side}_foot" not in self.sources:  # a foot without toes: its sole is level, however the leg stands
+            if f"{side}_foot" not in self.sources:  # The sole of a foot without toes is level, however the leg stands.
                 alignment[JOINT_INDEX[f"{side}_ankle"]] = alignment[JOINT_INDEX[f"{side}_foot"]] = alignment[0]
         return alignment
 

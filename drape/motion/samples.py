@@ -24,12 +24,12 @@ from drape.motion.t_pose import ANKLE_HEIGHT, CANONICAL_JOINTS, JOINT_INDEX
 
 FPS = 60.0
 
-_STANCE_SHARE = 0.62  # of a walking cycle that a foot stays on the ground
-_STEP_AHEAD = 0.27  # of a cycle's path that a footstep lies before the pelvis at heel strike
-_LIFT = 0.04  # of a swinging foot [m]
-_HALF_WIDTH = 0.075  # of a walker's footsteps about the path [m]
-_STANDING_HEIGHT = 0.922  # of the pelvis, knees slightly bent [m]
-_ARM_LOWERED = 68.0  # from the T-pose to the side [degrees]
+_STANCE_SHARE = 0.62  # A foot stays on the ground for this share of a walking cycle.
+_STEP_AHEAD = 0.27  # At heel strike a footstep lies this share of a cycle's path before the pelvis.
+_LIFT = 0.04  # The height [m] to which a swinging foot is lifted.
+_HALF_WIDTH = 0.075  # Footsteps lie so far [m] beside a walker's path.
+_STANDING_HEIGHT = 0.922  # The pelvis's height [m] with knees slightly bent.
+_ARM_LOWERED = 68.0  # The angle [degrees] from the T-pose down to the side.
 
 _TOE_JOINT = CANONICAL_JOINTS[JOINT_INDEX["left_foot"]] - CANONICAL_JOINTS[JOINT_INDEX["left_ankle"]]
 _HEEL = np.array([0.0, -ANKLE_HEIGHT, -HEEL_BEHIND])
@@ -119,7 +119,7 @@ SAMPLES = {"walk": walk, "turn": turn, "reach": reach, "squat": squat, "stretch"
 def _gait(name: str, *, cycle_s: float, cycle_count: int, stride: float, turn: float, height: float) -> MotionClip:
     """A walk with ``stride`` [m] of path and ``turn`` [rad] to the left per cycle, the pelvis at ``height`` [m]."""
     t = _times(cycle_s * cycle_count)
-    cycle = t / cycle_s  # the left heel strikes at whole numbers, the right one half a cycle later
+    cycle = t / cycle_s  # The left heel strikes at whole numbers, the right one half a cycle later.
     swing = 2.0 * np.pi * cycle
     wave, quarter, still = np.cos(swing), np.sin(swing), np.zeros_like(t)
     root, heading = _on_path(cycle, stride, turn)
@@ -134,7 +134,7 @@ def _gait(name: str, *, cycle_s: float, cycle_count: int, stride: float, turn: f
         "neck": _yaw(-2.5 * wave + 4.0 * turn),
         "head": _yaw(-2.5 * wave + 6.0 * turn) @ _roll(still - bank) @ _pitch(-2.0 + still),
     }
-    ahead = {"left": -wave, "right": wave}  # an arm swings with the other leg
+    ahead = {"left": -wave, "right": wave}  # An arm swings with the other leg.
     arms = _arms(
         swing={side: 2.0 + 20.0 * ahead[side] for side in SIDES},
         bend={side: 22.0 + 9.0 * ahead[side] for side in SIDES},

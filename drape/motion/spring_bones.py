@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-RATE_HZ = 60.0  # of steps: players take one a picture, and the law depends on it
+RATE_HZ = 60.0  # Players take one step a picture, and the law depends on the rate.
 DOWN = np.array([0.0, -1.0, 0.0])
 
 

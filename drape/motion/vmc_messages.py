@@ -1,8 +1,8 @@
 """Poses of the Virtual Motion Capture protocol (VMC): the bones of a humanoid in Unity, one message each.
 
-A sender tells each bone's rotation from its parent on a skeleton that has the world's axes in its T-pose. Unity's axes
-are left-handed, y up, and its person faces +z. With M = diag(-1, 1, 1) a rotation R is M R M in ours: a quaternion
-(w, x, y, z) becomes (w, x, -y, -z), and a place (x, y, z) becomes (-x, y, z).
+A message has a bone's rotation from its parent, on a skeleton that has the world's axes in its T-pose. Unity's axes are
+left-handed, y up, and its person faces +z. With M = diag(-1, 1, 1) a rotation R is M R M in ours: a quaternion (w, x,
+y, z) becomes (w, x, -y, -z), and a position (x, y, z) becomes (-x, y, z).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from drape.motion.rig_poses import Rig, rig_to_poses
 from drape.motion.t_pose import CANONICAL_JOINTS, JOINT_INDEX
 
 BONE, ROOT = "/VMC/Ext/Bone/Pos", "/VMC/Ext/Root/Pos"
-LEAST_LEG_M = 0.05  # of a sender that tells where its bones are
+LEAST_LEG_M = 0.05  # A shorter leg is that of a sender that does not say where its bones are.
 
 # Unity's bones by the joints that they turn, parents first; SMPL's hands have none.
 _NAMES: tuple[str, ...] = (
