@@ -46,13 +46,12 @@ def covered_faces(
     faces: np.ndarray,
     garments: Iterable[tuple[np.ndarray, np.ndarray]],
     *,
-    out_m: float = INSIDE_M,
     margin_m: float = MARGIN_M,
 ) -> np.ndarray:
     """Returns the mask (F,) bool of the ``faces`` (F, 3) of a character that lie wholly under one of its garments.
 
     ``vertices`` [m] (V, 3) are the character's. ``garments`` has vertices [m] (Vg, 3) and faces (Fg, 3) of each garment
-    in the same pose and frame. A covered face lies below the cloth, or stands out of it by less than ``out_m`` [m]. It
+    in the same pose and frame. A covered face lies below the cloth, or stands out of it by less than ``INSIDE_M``. It
     is more than ``margin_m`` [m] away from the cloth's borders and from all of the character that is not under the
     cloth.
     """
@@ -60,7 +59,7 @@ def covered_faces(
     covered = np.zeros(len(faces), dtype=bool)
     for cloth, triangles in garments:
         mesh = np.asarray(cloth, dtype=np.float64), np.asarray(triangles, dtype=np.int64)
-        good = _under(points, *mesh, out_m, margin_m)
+        good = _under(points, *mesh, margin_m)
         covered |= np.bincount(owner[~good], minlength=len(faces)) == 0
     return covered
 
@@ -70,18 +69,17 @@ def covered_in_file(
     vertices: np.ndarray,
     faces: np.ndarray,
     garments: Iterable[tuple[np.ndarray, np.ndarray]],
-    off: np.ndarray | None = None,
-    margin_m: float = MARGIN_M,
+    off: np.ndarray,
+    margin_m: float,
 ) -> tuple[np.ndarray, list[PrimitiveFaces]]:
     """Returns the mask (F,) bool of a wearer's covered faces, and of each primitive of its file the triangles that are
     covered and those that are taken off.
 
     ``stored`` is the wearer's stored file. ``vertices``, ``faces``, ``garments`` and ``margin_m`` are those of
-    ``covered_faces``. ``off`` (F,) bool marks the faces that are taken off, none by default; they do not count as
+    ``covered_faces``. ``off`` (F,) bool marks the faces that are taken off; they do not count as
     covered. Raises ``BodyError`` as ``load_file_rig`` does.
     """
     rig = load_file_rig(stored)
-    off = np.zeros(len(faces), dtype=bool) if off is None else off
     covered = covered_faces(vertices, faces, garments, margin_m=margin_m) & ~off
     ends = np.cumsum([primitive.triangles for primitive in rig.primitives])
     own = []
@@ -99,11 +97,11 @@ def ranges_of(chosen: np.ndarray) -> np.ndarray:
     return np.stack([steps[::2], steps[1::2] - steps[::2]], axis=1)
 
 
-def _under(points: np.ndarray, cloth: np.ndarray, faces: np.ndarray, out_m: float, margin_m: float) -> np.ndarray:
+def _under(points: np.ndarray, cloth: np.ndarray, faces: np.ndarray, margin_m: float) -> np.ndarray:
     """Which ``points`` (n,) lie under ``cloth``, off everything that does not and off its hems."""
     found = closest_point(points, cloth, faces)
     height = np.einsum("nc,nc->n", face_normals(cloth, faces)[found.face], found.point - points)
-    under = (found.distance < REACH_M) & (height > -out_m) & ~on_border(found, faces)
+    under = (found.distance < REACH_M) & (height > -INSIDE_M) & ~on_border(found, faces)
     for ends in (points[~under], cloth[boundary_vertices(faces)]):
         if margin_m and len(ends) and under.any():
             under[under] = nearest_vertices(points[under], ends)[0] > margin_m

@@ -75,7 +75,7 @@ class _Reading:
         self.lives = moved > 0
 
     def joints(self) -> ShapeJoints:
-        fork, tops, feet = self._legs()
+        tops, feet = self._legs()
         legs = [self._leg(top, foot) for top, foot in zip(tops, feet, strict=True)]
         hips = self.places[[leg[0][0] for leg in legs]]
         across = (hips[0] - hips[1]) * [1.0, 0.0, 1.0]
@@ -94,7 +94,7 @@ class _Reading:
             joints |= {f"{side}_{name}": node for name, node in zip(("hip", "knee", "ankle"), leg, strict=True)}
             joints |= {f"{side}_{name}": node for name, node in zip(("shoulder", "elbow", "wrist"), arm, strict=True)}
             joints |= self._ends(side, leg[2], arm_tops[0 if side == sides[0] else 1], arm[0])
-        joints = with_trunk(joints, self.parents, label=self.label) | self._head(chest, fork, {*arm_tops, *tops})
+        joints = with_trunk(joints, self.parents, label=self.label) | self._head(chest, {*arm_tops, *tops})
         errors = [error for _, error in (*legs, *arms)]
         confidence = float(np.exp(-max(errors) - self._lopsided(joints, across, middle)))
         if confidence < LEAST_CONFIDENCE:
@@ -134,8 +134,8 @@ class _Reading:
 
     # --- legs ---
 
-    def _legs(self) -> tuple[int, list[int], list[int]]:
-        """The node where the legs part, the first node of each, and the last one that stands on the floor."""
+    def _legs(self) -> tuple[list[int], list[int]]:
+        """The first node of each leg, and its last one that stands on the floor."""
         low = self.owner[self.skin[:, 1] < self.floor + GROUND * self.height]
         nodes, counts = np.unique(low, return_counts=True)
         standing = nodes[counts >= FEW * counts.sum()]
@@ -148,7 +148,7 @@ class _Reading:
         if len(tops) != 2 or not all(plain):
             limbs = f"{len(tops)} limbs that do" if all(plain) else "limbs that part again above their feet"
             raise self._refused("two legs that stand on the floor", limbs)
-        return fork, tops, [max(foot, key=lambda node: len(ancestors(self.parents, node))) for foot in feet]
+        return tops, [max(foot, key=lambda node: len(ancestors(self.parents, node))) for foot in feet]
 
     def _leg(self, top: int, foot: int) -> tuple[tuple[int, int, int], float]:
         """Hip, knee and ankle on the way from ``top`` to ``foot``, and how unlike a person's they are."""
@@ -243,10 +243,10 @@ class _Reading:
 
     # --- head ---
 
-    def _head(self, chest: int, fork: int, limbs: set[int]) -> dict[str, int]:
+    def _head(self, chest: int, limbs: set[int]) -> dict[str, int]:
         """Neck and head: on the way from ``chest``, or from below it, up to the highest skin."""
-        taken = np.any([self._below(top) for top in limbs], axis=0)
-        crown = int(np.where(taken[self.owner], -np.inf, self.skin[:, 1]).argmax())
+        limb = np.any([self._below(top) for top in limbs], axis=0)
+        crown = int(np.where(limb[self.owner], -np.inf, self.skin[:, 1]).argmax())
         line = ancestors(self.parents, int(self.owner[crown]))
         trunk = ancestors(self.parents, chest)
         way = line[: next((k for k, node in enumerate(line) if node in trunk), 0)][::-1]

@@ -16,6 +16,7 @@ from drape.avatar.affine_maps import rigid_fit
 
 SINGULAR = 1e-12  # This share of the mean square is added to weights' squares, so that equal bones share a vertex.
 FRAMES_AT_ONCE = 16
+CLUSTER_ROUNDS = 8
 
 
 def blended(weights: np.ndarray, rest: np.ndarray, moves: np.ndarray) -> np.ndarray:
@@ -159,7 +160,7 @@ def fit_moves(
 
 
 def rigid_clusters(
-    rest: np.ndarray, frames: np.ndarray, count: int, *, rounds: int = 8, nearness: float = 0.0
+    rest: np.ndarray, frames: np.ndarray, count: int, *, nearness: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns the cluster (V,) of each vertex, and the rigid motions (F, ``count``, 3, 4) of the clusters that bring
     ``rest`` (V, 3) nearest to ``frames`` (F, V, 3).
@@ -169,7 +170,7 @@ def rigid_clusters(
     """
     points, middles = homogeneous(rest), rest[farthest_points(rest, count)]
     own = ((rest[:, None] - middles) ** 2).sum(axis=-1).argmin(axis=1)
-    for last in range(rounds, -1, -1):
+    for last in range(CLUSTER_ROUNDS, -1, -1):
         moves = np.stack([rigid_fit(rest[own == one], frames[:, own == one]) for one in range(count)], axis=1)
         if not last:
             break

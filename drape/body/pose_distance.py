@@ -90,10 +90,10 @@ def pose_parts(poses: np.ndarray) -> dict[str, np.ndarray]:
     return {name: rows[:, part] for name, part in zip(PARTS, PART_SLICES, strict=True)}
 
 
-def mixed_poses(support: PoseSupport, count: int, *, seed: int = 0) -> np.ndarray:
+def mixed_poses(support: PoseSupport, count: int) -> np.ndarray:
     """Returns n = ``count`` poses (n, 24, 3) [rad] that each join the legs, the trunk and the tilt of other kept poses,
-    as training does; fewer where fewer are kept. The same ``seed`` gives the same poses."""
-    draw = np.random.default_rng(seed)
+    as training does; fewer where fewer are kept. They are the same each time."""
+    draw = np.random.default_rng(0)
     turns = np.tile(np.eye(3), (min(count, len(support.legs), len(support.trunk)), JOINT_COUNT, 1, 1))
     for rows, joints in ((support.legs, LEGS), (support.trunk, TRUNK)):
         kept = draw.permutation(len(rows))[: len(turns)]

@@ -37,16 +37,16 @@ class FoundShape(NamedTuple):
     missed: dict[str, float]
 
 
-def shape_of_measures(body: BodyModel, asked: Mapping[str, float], *, limit: float = LIMIT) -> FoundShape:
+def shape_of_measures(body: BodyModel, asked: Mapping[str, float]) -> FoundShape:
     """Returns the likeliest shape of ``body`` that has the measures ``asked`` [m, kg], by their names in ``Measures``.
 
     A measure that is left out gets its likeliest value beside those that are given. Raises ``BodyError`` for no measure
-    at all, an unknown name, and a measure that no shape within ``limit`` standard deviations has. Measures that exclude
+    at all, an unknown name, and a measure that no shape within ``LIMIT`` standard deviations has. Measures that exclude
     each other are no error: the result says what is ``missed``.
     """
     from scipy.optimize import lsq_linear  # The import takes a tenth of a second, which a start need not wait for.
 
-    names = _checked(body, asked, limit)
+    names = _checked(body, asked)
     rows = [Measures._fields.index(name) for name in names]
     target, scale = np.array([asked[name] for name in names]), np.array(ACCURACY)[rows]
     betas = np.zeros(body.shape_count)
@@ -55,7 +55,7 @@ def shape_of_measures(body: BodyModel, asked: Mapping[str, float], *, limit: flo
         left = (target - np.array(measures(body, betas))[rows]) / scale
         matrix = np.concatenate([slope, np.eye(len(betas))])
         wanted = np.concatenate([left + slope @ betas, np.zeros(len(betas))])
-        before, betas = betas, lsq_linear(matrix, wanted, (-limit, limit), method="bvls").x
+        before, betas = betas, lsq_linear(matrix, wanted, (-LIMIT, LIMIT), method="bvls").x
         if np.abs(betas - before).max() < DONE:
             break
     reached = measures(body, betas)
@@ -78,7 +78,7 @@ def measure_ranges(body: BodyModel, limit: float = LIMIT) -> dict[str, tuple[flo
     return ranges
 
 
-def _checked(body: BodyModel, asked: Mapping[str, float], limit: float) -> list[str]:
+def _checked(body: BodyModel, asked: Mapping[str, float]) -> list[str]:
     """The names of what is ``asked``, in the order of ``Measures``."""
     for name in asked:
         if name not in Measures._fields:
@@ -88,7 +88,7 @@ def _checked(body: BodyModel, asked: Mapping[str, float], limit: float) -> list[
     if not names:
         cure = 'For example {"height_m": 1.7}.'
         raise BodyError("measures", expected=f"some of {', '.join(Measures._fields)}", got="none", cure=cure)
-    ranges = measure_ranges(body, limit)
+    ranges = measure_ranges(body)
     for name in names:
         low, high = ranges[name]
         if not low <= asked[name] <= high:  # The negation also catches NaN.

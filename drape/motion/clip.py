@@ -46,7 +46,7 @@ class MotionClip:
         betas = None if self.betas is None else _frozen("betas", self.betas)
         if betas is not None:
             check_shape("betas", betas, (None,), error=MotionError)
-        _check_rate("fps", self.fps)
+        _check_rate(self.fps)
         object.__setattr__(self, "poses", poses)
         object.__setattr__(self, "trans", trans)
         object.__setattr__(self, "betas", betas)
@@ -67,7 +67,7 @@ class MotionClip:
     def resampled(self, fps: float) -> MotionClip:
         """Returns the clip at ``fps`` frames a second: joints by slerp, translations linearly, exact at this clip's
         frames."""
-        _check_rate("fps", fps)
+        _check_rate(fps)
         count = int(np.floor((self.frame_count - 1) * (fps / self.fps) + _KNOT_TOLERANCE)) + 1
         place = np.arange(count) * (self.fps / fps)  # It counts this clip's frames.
         nearest = np.rint(place)
@@ -163,8 +163,8 @@ def _frozen(name: str, value: np.ndarray) -> np.ndarray:
     return array
 
 
-def _check_rate(name: str, fps: float) -> None:
+def _check_rate(fps: float) -> None:
     if not (np.isfinite(fps) and fps > 0.0):
         raise MotionError(
-            name, expected="a positive frame rate [1/s]", got=str(fps), cure="Pass the clip's frames per second."
+            "fps", expected="a positive frame rate [1/s]", got=str(fps), cure="Pass the clip's frames per second."
         )

@@ -12,29 +12,23 @@ from functools import lru_cache
 
 import numpy as np
 
-from drape.body.skeleton import JOINT_NAMES
+from drape.body.skeleton import JOINT_NAMES, PARENTS
 from drape.geometry.rotations import quaternion_multiply, quaternion_to_matrix
 from drape.motion.grounding import leg_length
-from drape.motion.joint_names import is_whole
+from drape.motion.joint_names import ancestors, is_whole
 from drape.motion.rig_poses import Rig, rig_to_poses
 from drape.motion.t_pose import CANONICAL_JOINTS, JOINT_INDEX
 
 BONE, ROOT = "/VMC/Ext/Bone/Pos", "/VMC/Ext/Root/Pos"
 LEAST_LEG_M = 0.05  # A shorter leg is that of a sender that does not say where its bones are.
 
-# Unity's bones by the joints that they turn, parents first; SMPL's hands have none.
+# Unity's bones in the order of SMPL's joints, which have the same parents. SMPL's hands have none.
 _NAMES: tuple[str, ...] = (
     "Hips", "LeftUpperLeg", "RightUpperLeg", "Spine", "LeftLowerLeg", "RightLowerLeg", "Chest", "LeftFoot", "RightFoot",
     "UpperChest", "LeftToes", "RightToes", "Neck", "LeftShoulder", "RightShoulder", "Head", "LeftUpperArm",
     "RightUpperArm", "LeftLowerArm", "RightLowerArm", "LeftHand", "RightHand",
 )  # fmt: skip
 _BONES: dict[str, str] = dict(zip(_NAMES, JOINT_NAMES, strict=False))
-_ABOVE = {"Spine": "Hips", "Chest": "Spine", "UpperChest": "Chest", "Neck": "UpperChest", "Head": "Neck"}
-for _side in ("Left", "Right"):
-    _limbs = ("UpperLeg", "LowerLeg", "Foot", "Toes"), ("Shoulder", "UpperArm", "LowerArm", "Hand")
-    for _limb, _top in zip(_limbs, ("Hips", "UpperChest"), strict=True):
-        _chain = (_top, *(_side + _part for _part in _limb))
-        _ABOVE |= dict(zip(_chain[1:], _chain, strict=False))
 
 
 class VmcPoses:
@@ -91,17 +85,10 @@ class VmcPoses:
 @lru_cache(maxsize=16)
 def _rig(bones: tuple[str, ...]) -> Rig:
     """The skeleton with the world's axes that has ``bones``, in the T-pose."""
-    places = {name: CANONICAL_JOINTS[JOINT_INDEX[_BONES[name]]] for name in bones}
-    above = {name: next((up for up in _ancestors(name) if up in places), None) for name in bones}
-    parents = [-1 if (up := above[name]) is None else bones.index(up) for name in bones]
-    offsets = [places[name] - (0.0 if (up := above[name]) is None else places[up]) for name in bones]
+    joints = [JOINT_INDEX[_BONES[name]] for name in bones]
+    above = [next((up for up in ancestors(PARENTS, joint)[1:] if up in joints), -1) for joint in joints]
+    parents = [joints.index(up) if up >= 0 else -1 for up in above]
+    pairs = zip(joints, above, strict=True)
+    offsets = [CANONICAL_JOINTS[joint] - (CANONICAL_JOINTS[up] if up >= 0 else 0.0) for joint, up in pairs]
     names = [name[0].lower() + name[1:] for name in bones]
     return Rig(names, parents, np.tile([1.0, 0.0, 0.0, 0.0], (len(bones), 1)), np.array(offsets), label="VMC")
-
-
-def _ancestors(name: str) -> list[str]:
-    """The bones above ``name``, the nearest first."""
-    chain = []
-    while (name := _ABOVE.get(name, "")) != "":
-        chain.append(name)
-    return chain
