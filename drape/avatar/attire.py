@@ -10,8 +10,6 @@ from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse
-from scipy.sparse.csgraph import connected_components
 
 from drape.avatar.attire_words import CLOTH, DOLL, KINDS, kind_of_names
 from drape.avatar.character import Character
@@ -20,7 +18,7 @@ from drape.avatar.t_pose import TPose
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import NotFound, did_you_mean
 from drape.files.gltf import GltfFile
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 
 SAME_COLOUR = 0.11  # sRGB channels of faces of one region, and of two pieces of skin, differ by less.
 LEAST_SHARE = 0.002  # A region with a smaller share of the surface goes with its largest neighbour.
@@ -131,7 +129,7 @@ class _Surface:
         self.hip, self.knee = (0.5 * (at[f"left_{one}"] + at[f"right_{one}"]) for one in ("hip", "knee"))
         self.shoulder = 0.5 * (at["left_shoulder"] + at["right_shoulder"])
         self.half_hips = 0.5 * abs(at["left_hip"][0] - at["right_hip"][0])
-        self.pairs = _touching(pose.faces)
+        self.pairs = meshes.hinge_faces(pose.faces)
 
     def share(self, rows: np.ndarray, *parts: str) -> float:
         """How much of the area of ``rows`` lies on ``parts``."""
@@ -145,7 +143,7 @@ class _Surface:
         a, b = self.pairs[inside[self.pairs].all(axis=1)].T
         joined = self.primitive[a] == self.primitive[b]
         like = joined & (np.abs(self.colours[a] - self.colours[b]).max(axis=1) < SAME_COLOUR)
-        label = _components(len(self.area), a[like], b[like])
+        label = mesh_graphs.joined_parts(len(self.area), a[like], b[like])
         least = LEAST_SHARE * self.area[~self.hung].sum()
         for _ in range(4):
             size = np.bincount(label, self.area, label.max() + 1)
@@ -272,20 +270,6 @@ class _Surface:
             return False
         facing = np.abs(meshes.face_normals(self.pose.vertices, self.pose.faces)[middle, 2]) > 0.7
         return bool(self.area[middle][facing].sum() > 0.05 * self.area[below].sum())
-
-
-def _touching(faces: np.ndarray) -> np.ndarray:
-    """Pairs of faces (n, 2) that share an edge."""
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
-    owner = np.repeat(np.arange(len(faces)), 3)
-    order = np.lexsort(edges.T)
-    same = (edges[order][1:] == edges[order][:-1]).all(axis=1)
-    return np.stack([owner[order][:-1][same], owner[order][1:][same]], axis=1)
-
-
-def _components(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    graph = scipy.sparse.coo_matrix((np.ones(len(a)), (a, b)), (count, count))
-    return connected_components(graph, directed=False)[1]
 
 
 def _grouped(

@@ -22,6 +22,7 @@ from drape.files.gltf_json import Node
 from drape.files.gltf_nodes import node_matrix, tree_of
 from drape.files.packed import UNREADABLE, read_packed
 from drape.geometry.rotations import matrix_to_quaternion
+from drape.motion.joint_names import ancestors
 from drape.motion.node_clip import nearest_rotations, world_transforms
 
 PART = "file"  # In a wearer's file the names of these arrays begin with it.
@@ -168,22 +169,14 @@ def _all_binds(skeleton: FileSkeleton) -> np.ndarray:
     known = {int(joint): row for row, joint in enumerate(skeleton.joints[:count])}
     more = []
     for joint in skeleton.joints[count:]:
-        above = skeleton.parents[joint]
-        while above >= 0 and above not in known:
-            above = skeleton.parents[above]
-        row = known.get(above, 0)
+        row = next((known[node] for node in ancestors(skeleton.parents, joint) if node in known), 0)
         more.append(np.linalg.inv(rest[joint]) @ rest[skeleton.joints[row]] @ skeleton.binds[row])
     return np.concatenate([skeleton.binds, *(one[None] for one in more)])
 
 
 def _kept(nodes: list[Node], parents: tuple[int, ...], joints: set[int]) -> set[int]:
     """Places of the nodes that are joints or hold some, and of plain nodes below these."""
-    kept = set(joints)
-    for joint in joints:
-        above = parents[joint]
-        while above >= 0 and above not in kept:
-            kept.add(above)
-            above = parents[above]
+    kept = {node for joint in joints for node in ancestors(parents, joint)}
     for number, node in enumerate(nodes):
         if parents[number] in kept and node.mesh is None and node.camera is None:
             kept.add(number)

@@ -27,6 +27,7 @@ from drape.export.glb import NORMAL_STEPS, Corners, Shape, add_shape, normal_ste
 from drape.export.glb_file import VERTEX_BUFFER, GlbFile
 from drape.export.surface import MeshSurface
 from drape.garment.cache import Garment
+from drape.motion.joint_names import ancestors
 from drape.wanted import go_on
 
 BARE, UNDER, TUCKED = "bare skin", "skin under garments", "tucked top"
@@ -129,10 +130,9 @@ def _onto_joints(wearer: Wearer, skeleton: FileSkeleton) -> scipy.sparse.csr_mat
     column = {int(node): number for number, node in enumerate(skeleton.joints)}
     columns: list[int] = []
     for joint, name in enumerate(JOINT_NAMES):
-        node = wearer.rig.sources.get(name, -1)
-        while node >= 0 and node not in column:
-            node = skeleton.parents[node]
-        columns.append(column[node] if node >= 0 else columns[PARENTS[joint]] if joint else 0)
+        line = ancestors(skeleton.parents, wearer.rig.sources.get(name, -1))
+        otherwise = columns[PARENTS[joint]] if joint else 0
+        columns.append(next((column[node] for node in line if node in column), otherwise))
     onto = np.ones(len(columns)), (np.arange(len(columns)), np.array(columns))
     return scipy.sparse.csr_matrix(onto, (len(columns), len(skeleton.joints)))
 

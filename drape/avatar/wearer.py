@@ -38,6 +38,7 @@ from drape.files.gltf import GltfFile
 from drape.files.packed import UNREADABLE, packed, read_packed
 from drape.geometry.closest import closest_point
 from drape.geometry.skinning import skin_points
+from drape.motion.joint_names import ancestors
 from drape.motion.rig_poses import UNIT_TOLERANCE, Rig, poses_to_rig, rig_to_poses
 
 FORMAT_VERSION = 1
@@ -140,9 +141,7 @@ class Wearer:
         rig = self.rig
         rows = np.zeros(len(self.nodes), dtype=bool)
         for node in rig.sources.values():
-            while node >= 0 and not rows[node]:
-                rows[node] = True
-                node = rig.parents[node]
+            rows[ancestors(rig.parents, node)] = True
         place = np.cumsum(rows) - 1
         parents = [
             -1 if above < 0 else int(place[above]) for above, read in zip(rig.parents, rows, strict=True) if read

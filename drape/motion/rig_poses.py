@@ -27,7 +27,7 @@ from drape.geometry.rotations import (
     rotvec_to_matrix,
 )
 from drape.motion.alignment import rest_alignment, rest_bone, world_joint_rotations
-from drape.motion.joint_names import is_whole, match_joints
+from drape.motion.joint_names import ancestors, is_whole, match_joints
 from drape.motion.legs import SIDES
 from drape.motion.retarget import global_rotations, local_rotations
 from drape.motion.t_pose import CANONICAL_JOINTS, JOINT_INDEX
@@ -179,15 +179,8 @@ def _up(rest: np.ndarray, sources: dict[str, int]) -> np.ndarray:
 def carrier(rig: Rig) -> int:
     """Returns the index of the node that carries both legs and trunk: the pelvis, or the one above it where a rig
     branches there."""
-    below = rig.sources["spine1"]
-    above_trunk = set()
-    while below >= 0:
-        above_trunk.add(below)
-        below = rig.parents[below]
-    node = rig.sources["pelvis"]
-    while node not in above_trunk and rig.parents[node] >= 0:
-        node = rig.parents[node]
-    return node
+    trunk, line = (ancestors(rig.parents, rig.sources[joint]) for joint in ("spine1", "pelvis"))
+    return next((node for node in line if node in trunk), line[-1])
 
 
 def _spread(turned: np.ndarray, sources: dict[str, int]) -> None:
