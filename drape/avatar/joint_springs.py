@@ -80,9 +80,9 @@ def _swung(at: np.ndarray, heads: np.ndarray, turns: np.ndarray) -> np.ndarray:
 
 
 def fit_springs(distilled: Distilled, clips: Sequence[DrapedClip], wearer: Wearer) -> JointSprings:
-    """Returns the springs of those joints of ``distilled`` that are better springs than none, with the constants that
-    bring their cloth nearest to ``clips`` and let it sink least into the legs of ``wearer``. The rig moves the cloth of
-    the other joints. A clip is run from its first to its last frame."""
+    """Returns springs for those own joints of ``distilled`` whose cloth comes nearer to ``clips`` on springs than on
+    the rig alone; the rig moves the cloth of the others. Their constants bring the cloth nearest to ``clips`` and let
+    it sink least into the legs of ``wearer``. A clip is run from its first to its last frame."""
     unit, skeleton = wearer.scale, clips[0].motion
     ends, limbs = _tails(distilled, unit), leg_capsules(wearer, skeleton)
     _, _, rest = _carried(distilled, ends, skeleton, rows=slice(0, 1))

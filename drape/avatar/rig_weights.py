@@ -45,7 +45,8 @@ def garment_weights(garment: Garment, wearer: Wearer, rig: FileRig) -> scipy.spa
 
 def heaviest(weights: scipy.sparse.csr_matrix, alone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Returns the heaviest joints (V, 4) of each vertex, as columns of ``weights`` (V, J), and their weights (V, 4),
-    float32, which sum to one. A vertex that is ``alone`` (V,) bool has one joint. A joint without weight is 0."""
+    float32, which sum to one. A vertex that is ``alone`` (V,) bool has its heaviest joint only. Entries without weight
+    name joint 0."""
     used = np.unique(weights.indices)  # Of thousands of joints few move a garment.
     dense = weights[:, used].toarray()
     order = np.argsort(-dense, axis=1, kind="stable")[:, :HEAVIEST]

@@ -104,8 +104,13 @@ def add_shape(
     fps: float,
     colour: tuple[float, float, float, float],
 ) -> None:
-    """Adds mesh, materials and node of ``garment`` to ``file``, and an animation where ``shape`` has morph targets:
-    target i is shown in frame ``frames`` - n + i of n targets. ``corners`` is ``split_seams`` of the garment."""
+    """Adds mesh, materials and node of ``garment`` to ``file``, and an animation where ``shape`` has morph targets. Of
+    n targets target i is shown in frame ``frames`` - n + i, at ``fps`` frames a second; before these the mesh itself is
+    shown.
+
+    ``corners`` is ``split_seams`` of the garment. ``colour``, linear red, green, blue and opacity, is for materials
+    that have no look.
+    """
     base, moves = shape.parts[0], shape.parts[1:]
     if corners.uv is not None:
         base["TEXCOORD_0"] = file.array(corners.uv.astype(np.float32), target=VERTEX_BUFFER)

@@ -40,11 +40,11 @@ _SPINE = ("spine1", "spine2", "spine3")
 def trunk_ends(
     rest: np.ndarray, parents: Sequence[int], sources: Mapping[str, int]
 ) -> tuple[dict[str, int], np.ndarray | None]:
-    """Returns which joint of the file the bone of each spine joint points to, by SMPL's names of these, and the up
-    direction (3,) of the pelvis. ``rest`` (J, 3) are the joints' positions at rest.
+    """Returns the index of the file's joint to which the bone of each spine joint points, by SMPL's names of these, and
+    the up direction (3,) of the pelvis. ``rest`` (J, 3) are the joints' positions at rest.
 
     A bent trunk is measured from joint to joint of the file, and up is along its lowest bone. A straight one is
-    measured from joint to joint of SMPL's: up is None, and only spine joints on its topmost node have an end.
+    measured from joint to joint of SMPL's: up is None, and only spine joints on its topmost node have an entry.
     """
     tops = [sources[name] for name in ("neck", "head", "spine3") if name in sources]
     top = next(joint for joint in tops if sources["spine3"] in ancestors(parents, joint))
