@@ -25,7 +25,7 @@ from pydantic import ValidationError
 from drape.avatar.covered import UNSEEN_M, covered_faces
 from drape.avatar.file_skeleton import FileRig
 from drape.avatar.own_clothes import NEITHER, Halves, joined_halves
-from drape.avatar.own_garments import OwnGarments, body_of, dressed_in, halves_on, own_faces, own_garments, undressed
+from drape.avatar.own_garments import OwnGarments, body_of, halves_on, own_faces, own_garments, split_own, undress
 from drape.avatar.rig_file import Dressed
 from drape.avatar.rig_motion import RigClip
 from drape.avatar.wearer import Wearer, read_wearer, wearer_name
@@ -168,7 +168,7 @@ class Drape:
         body, halves = self.body, NEITHER
         if wearer is not None:
             halves = self._halves_on(wearer, entries)
-            below, over = dressed_in(own, halves)
+            below, over = split_own(own, halves)
             entries = (*map(_entry, below), *entries, *map(_entry, over))
             body = wearer.body_under(halves_on(wearer, [entry.garment for entry in entries], self.body))
             stages = self._stages_of(body)
@@ -270,7 +270,7 @@ class Worn:
         wearer, rig = self.on_rig()
         assert self._worn_by is not None
         cloth = [(one.vertices, one.faces) for one in self.layers]
-        left = undressed(wearer, own_faces(wearer, self.layers), cloth, self._worn_by.halves)
+        left = undress(wearer, own_faces(wearer, self.layers), cloth, self._worn_by.halves)
         own = covered_faces(wearer.vertices, wearer.faces, cloth, margin_m=UNSEEN_M)
         skin = covered_faces(wearer.body.v_template, wearer.body.faces, cloth, margin_m=UNSEEN_M)
         left = left._replace(off=left.off | own, bare=left.bare & ~skin, deep=None)  # Players draw nothing deeper.

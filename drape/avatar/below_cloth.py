@@ -20,7 +20,7 @@ from drape.wanted import go_on
 BELOW_M = 0.002
 
 
-def kept_below(
+def keep_below(
     parts: Sequence[MovingGarment], cloth: Sequence[tuple[np.ndarray, np.ndarray]], worn: Sequence[MovingGarment]
 ) -> list[MovingGarment]:
     """Returns ``parts`` of a character over the F frames of a clip, with their covered skin below the cloth. Positions

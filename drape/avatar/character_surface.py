@@ -17,7 +17,7 @@ from drape.avatar.rig_motion import RigMotion
 from drape.export.surface import MeshSurface, MovingGarment
 from drape.files.gltf import GltfFile
 from drape.files.looks import Material
-from drape.files.pictures import with_remade
+from drape.files.pictures import remake_pictures
 from drape.garment.files.gltf_looks import gltf_looks
 from drape.geometry.skinning import skin_points
 from drape.wanted import go_on
@@ -64,7 +64,7 @@ def _surface(file: GltfFile, node: int, index: int, faces: np.ndarray, count: in
     """The primitive ``index`` of the mesh of ``node``, with its material."""
     held = file.document.nodes[node]
     uv, material = texture_of(file, Primitive(node, "", index, len(faces)))
-    looks, _ = with_remade(gltf_looks(file, [material])[0])
+    looks, _ = remake_pictures(gltf_looks(file, [material])[0])
     corners, uv_faces = np.unique(uv.reshape(-1, 2), axis=0, return_inverse=True)
     name = f"{held.name or 'mesh'}_{index}"
     told = {} if material is None else file.item("materials", material, "primitives.material")

@@ -102,7 +102,9 @@ class Distilled:
     def placed(self, motion: RigMotion, moves: np.ndarray) -> np.ndarray:
         """Returns the vertices (F, V, 3) of the mesh, in the frame of the pelvis and the unit of the file, where its
         own joints have the motions ``moves`` (F, E, 3, 4) in the frame of the pelvis."""
-        return decomposition.blended(self.weights, self.rest, np.concatenate([self.above(motion), moves], axis=1))
+        return decomposition.blend_vertices(
+            self.weights, self.rest, np.concatenate([self.above(motion), moves], axis=1)
+        )
 
     def error_m(self, draped: DrapedClip, moves: np.ndarray, scale: float) -> float:
         """Returns the root mean square distance [m] between the vertices of ``draped`` and those of the mesh whose own

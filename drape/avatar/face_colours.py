@@ -7,8 +7,8 @@ import numpy as np
 from drape.avatar.character import Primitive
 from drape.errors import MeshError
 from drape.files.gltf import GltfFile
-from drape.files.looks import kept_pictures
-from drape.files.pictures import remade
+from drape.files.looks import replace_pictures
+from drape.files.pictures import remake_picture
 from drape.garment.files.gltf_looks import gltf_looks
 from drape.garment.portrait import CLOTH, Sitter, paint_of
 
@@ -23,7 +23,7 @@ def face_colours(file: GltfFile, primitives: tuple[Primitive, ...]) -> np.ndarra
     held = [texture_of(file, primitive) for primitive in primitives]
     used = sorted({material for _, material in held if material is not None})
     looks, _ = gltf_looks(file, list(used))
-    looks = kept_pictures(looks, [_small(picture) for picture in looks.pictures])
+    looks = replace_pictures(looks, [_small(picture) for picture in looks.pictures])
     uv_faces = [uv for uv, _ in held]
     corners = np.concatenate(uv_faces).reshape(-1, 2)
     material = [used.index(one) if one is not None else len(used) for _, one in held]
@@ -58,6 +58,6 @@ def texture_of(file: GltfFile, primitive: Primitive) -> tuple[np.ndarray, int | 
 def _small(picture: bytes) -> bytes | None:
     """``picture`` made small, None where it cannot be read."""
     try:
-        return remade(picture, label="picture", side=SIDE_PX)
+        return remake_picture(picture, label="picture", side=SIDE_PX)
     except MeshError:
         return None

@@ -70,7 +70,7 @@ class FileRig:
     triangle: np.ndarray
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Returns the rig as arrays for ``packed``, which ``load_file_rig`` reads; all names begin with ``file.``."""
+        """Returns the rig as arrays for ``pack``, which ``load_file_rig`` reads; all names begin with ``file.``."""
         held = vars(self.skeleton)
         text = {key: value for key, value in held.items() if not isinstance(value, np.ndarray)}
         header = np.frombuffer(json.dumps(text | {"primitives": self.primitives}).encode(), dtype=np.uint8)

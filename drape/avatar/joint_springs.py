@@ -19,7 +19,7 @@ from drape.avatar.affine_maps import affine_inverse, compose
 from drape.avatar.distilled import Distilled, DrapedClip, pelvis_places
 from drape.avatar.rig_motion import RigMotion
 from drape.avatar.rig_weights import HEAVIEST
-from drape.avatar.skin_decomposition import blended, farthest_points
+from drape.avatar.skin_decomposition import blend_vertices, farthest_points
 from drape.avatar.wearer import Wearer
 from drape.body.skeleton import JOINT_NAMES
 from drape.motion.spring_bones import Capsules, Springs, nearest_off, shortest_turns, tails
@@ -152,7 +152,7 @@ class _Cloth:
         rest, shares = distilled.rest[rows], np.take_along_axis(own, rows, axis=1)
         draped = clip.vertices[:, rows] / unit
         rig = compose(clip.motion.world[1:, distilled.joints, :3, :], distilled.binds)
-        on_rig = blended(distilled.on_rig[rows.reshape(-1)], rest.reshape(-1, 3), rig).reshape(draped.shape)
+        on_rig = blend_vertices(distilled.on_rig[rows.reshape(-1)], rest.reshape(-1, 3), rig).reshape(draped.shape)
         others = draped - shares[..., None] * _placed(track, rest)
         return cls(rest, draped, shares, others, on_rig, legs)
 
@@ -166,11 +166,11 @@ class _Cloth:
 
     def _off(self, own: np.ndarray) -> np.ndarray:
         at, draped = self.others[:, None] + self.shares[..., None] * own, self.draped[:, None]
-        deep = sunk(at, draped, self.legs)
+        deep = sink_depths(at, draped, self.legs)
         return (((at - draped) ** 2).sum(axis=-1) + SINKING * deep**2).mean(axis=-1).sum(axis=0)
 
 
-def sunk(at: np.ndarray, draped: np.ndarray, limbs: Capsules) -> np.ndarray:
+def sink_depths(at: np.ndarray, draped: np.ndarray, limbs: Capsules) -> np.ndarray:
     """Returns how much deeper (F, ..., E, K) points ``at`` (F, ..., E, K, 3) lie in one of ``limbs`` than the points
     ``draped`` (F, ..., E, K, 3), in their unit: the most of all limbs, 0 where they lie no deeper."""
     most = np.zeros(at.shape[:-1])

@@ -23,7 +23,7 @@ SWAPPED = "left and right look swapped: by these joints the feet point backwards
 
 
 @dataclass(frozen=True, eq=False)
-class Mapped:
+class JointMapping:
     """The ``rig`` of a character, and how its joints were found.
 
     ``by`` is "vrm", "names", "shape" (by positions), or "told" by a client. ``confidence`` in [0, 1] says how much the
@@ -37,9 +37,9 @@ class Mapped:
     notes: tuple[str, ...] = ()
 
 
-def mapped(
+def map_joints(
     character: Character, body: BodyModel, *, joints: Mapping[str, str] | None = None, label: str = "avatar"
-) -> Mapped:
+) -> JointMapping:
     """Returns the rig of ``character`` for poses of ``body``. Its joints are found by VRM's bones where the file has
     them, else by names, else by their positions.
 
@@ -67,7 +67,7 @@ def mapped(
             moves[node] = turns[parent].T @ (character.places[node] - character.places[parent])
     quaternions = matrix_to_quaternion(local)
     rig = Rig(names, character.parents, quaternions, moves, body.joints_template, label, sources)
-    return Mapped(rig, by, confidence, (SWAPPED,) if _feet_point_back(rig, character) else ())
+    return JointMapping(rig, by, confidence, (SWAPPED,) if _feet_point_back(rig, character) else ())
 
 
 def _feet_point_back(rig: Rig, character: Character) -> bool:

@@ -137,7 +137,7 @@ def _without_skin(pose: TPose, rows: np.ndarray, skin: np.ndarray, group: np.nda
     return (np.bincount(index, area * gone) > 0.5 * np.bincount(index, area))[index]
 
 
-def shrunk(pose: TPose, hollow: np.ndarray) -> TPose:
+def shrink(pose: TPose, hollow: np.ndarray) -> TPose:
     """Returns ``pose`` with the vertices of its ``hollow`` faces (F,) bool moved in by ``INSET_M``, where a skin would
     be."""
     normals = meshes.vertex_normals(pose.vertices, pose.faces)
@@ -147,7 +147,7 @@ def shrunk(pose: TPose, hollow: np.ndarray) -> TPose:
     return replace(pose, vertices=vertices)
 
 
-def taken_off(attire: Attire, halves: Halves) -> np.ndarray:
+def removed_faces(attire: Attire, halves: Halves) -> np.ndarray:
     """Returns the mask (F,) bool of a character's faces that garments on these ``halves`` take off. Bulky parts go with
     clothes of the upper half."""
     kinds = (UPPER if halves.upper else ()) + (LOWER if halves.lower else ())
@@ -155,7 +155,7 @@ def taken_off(attire: Attire, halves: Halves) -> np.ndarray:
     return np.array(off, dtype=bool)[attire.part]
 
 
-def tucked(attire: Attire, halves: Halves) -> np.ndarray:
+def tucked_faces(attire: Attire, halves: Halves) -> np.ndarray:
     """Returns the mask (F,) bool of a character's faces that are tucked into garments on these ``halves``: those of its
     tops, if the garments lie on the lower half alone, otherwise none."""
     return attire.of_kinds(("top",)) & (halves.lower and not halves.upper)

@@ -25,9 +25,9 @@ from drape.avatar.own_clothes import (
     doubled_ends,
     halves_of,
     joined_halves,
+    removed_faces,
     sewn_to_ends,
-    taken_off,
-    tucked,
+    tucked_faces,
 )  # fmt: skip
 from drape.avatar.tucked import TuckedTop, tucked_top
 from drape.avatar.wearer import Wearer
@@ -148,7 +148,7 @@ class Undressed(NamedTuple):
         return int(self.bare.sum()) + (0 if self.tucked is None else len(self.tucked.faces))
 
 
-def undressed(
+def undress(
     wearer: Wearer, own: np.ndarray, cloth: Sequence[tuple[np.ndarray, np.ndarray]], halves: Halves
 ) -> Undressed:
     """Returns what is not drawn of ``wearer`` in garments, and what is drawn instead.
@@ -160,10 +160,10 @@ def undressed(
     if not wearer.attire.parts:
         return Undressed(np.zeros(len(wearer.faces), dtype=bool), np.zeros(len(wearer.body.faces), dtype=bool))
     body, surface = wearer.body, (wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64))
-    off = taken_off(wearer.attire, halves)
+    off = removed_faces(wearer.attire, halves)
     off &= ~sewn_to_ends(wearer.weights, surface[1], off)
     off |= own
-    tops = tucked(wearer.attire, halves) & ~off
+    tops = tucked_faces(wearer.attire, halves) & ~off
     top = tucked_top(wearer, tops, cloth) if tops.any() else None
     if top is not None:
         off |= top.off & tops
@@ -177,7 +177,7 @@ def undressed(
     return Undressed(off, bare, top, deep)
 
 
-def dressed_in(own: Sequence[Garment], halves: Halves) -> tuple[list[Garment], list[Garment]]:
+def split_own(own: Sequence[Garment], halves: Halves) -> tuple[list[Garment], list[Garment]]:
     """Returns two lists of those of a character's ``own`` garments that stay on under other garments on these
     ``halves``: the ones worn below the others, and the ones worn over them."""
     off = (UPPER if halves.upper else ()) + (LOWER if halves.lower else ())

@@ -19,7 +19,7 @@ FRAMES_AT_ONCE = 16
 CLUSTER_ROUNDS = 8
 
 
-def blended(weights: np.ndarray, rest: np.ndarray, moves: np.ndarray) -> np.ndarray:
+def blend_vertices(weights: np.ndarray, rest: np.ndarray, moves: np.ndarray) -> np.ndarray:
     """Returns the vertices (F, V, 3) that linear blend skinning makes of ``rest`` (V, 3) with ``weights`` (V, B) on
     bones whose motions are ``moves`` (F, B, 3, 4)."""
     flat, points = moves.reshape(*moves.shape[:2], 12), homogeneous(rest)
@@ -143,7 +143,7 @@ def fit_moves(
     ``steadiness``: the weight, beside one, with which a bone's vertices are held where its motion had them at first.
     """
     first, moves = moves, moves.copy()
-    left = frames - blended(weights, rest, moves)
+    left = frames - blend_vertices(weights, rest, moves)
     points = homogeneous(rest)
     for _ in range(rounds):
         for bone in free:

@@ -42,7 +42,7 @@ class TPose:
         return replace(self, faces=self.faces[chosen])
 
 
-def t_posed(character: Character, rig: Rig) -> TPose:
+def to_t_pose(character: Character, rig: Rig) -> TPose:
     """Returns ``character`` in T-pose. ``rig`` says which of its nodes are its joints."""
     undone = np.swapaxes(rig.alignment, -1, -2)
     number = {rig.sources[name]: joint for joint, name in enumerate(JOINT_NAMES) if name in rig.sources}

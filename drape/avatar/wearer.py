@@ -24,18 +24,18 @@ from drape.avatar.body_fit import fit_to
 from drape.avatar.character import character_in
 from drape.avatar.face_colours import face_colours
 from drape.avatar.file_skeleton import FileRig, file_rig
-from drape.avatar.mapping import NAMES, mapped
-from drape.avatar.own_clothes import Halves, layers_of, shrunk
+from drape.avatar.mapping import NAMES, map_joints
+from drape.avatar.own_clothes import Halves, layers_of, shrink
 from drape.avatar.parts import PARTS, counted_vertices
 from drape.avatar.shoes import shoes_height
-from drape.avatar.t_pose import TPose, t_posed
+from drape.avatar.t_pose import TPose, to_t_pose
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.errors import ArtifactError, BodyError, DrapeError, MotionError, refusing
 from drape.files.atomic import whole_file
 from drape.files.gltf import GltfFile
-from drape.files.packed import UNREADABLE, packed, read_packed
+from drape.files.packed import UNREADABLE, pack, read_packed
 from drape.geometry.closest import closest_point
 from drape.geometry.skinning import skin_points
 from drape.motion.joint_names import ancestors
@@ -58,7 +58,7 @@ class Wearer:
     the character's own trousers on, None where it is not made yet.
 
     ``rig`` has its nodes, called as VRM calls them in a VRM; ``nodes`` are their own names. ``found_by``,
-    ``confidence`` and ``notes`` are those of ``Mapped``. ``vrm`` is the version "0" or "1" of a VRM, otherwise "".
+    ``confidence`` and ``notes`` are those of ``JointMapping``. ``vrm`` is the version "0" or "1" of a VRM, else "".
 
     Its surface has ``vertices`` [m] (V, 3) in T-pose in the frame of ``body``, ``faces`` (F, 3) and ``weights`` (V, 24)
     on SMPL's joints. ``median_mm`` and ``p95_mm`` are the median and the 95 % quantile of the distance of its trunk and
@@ -176,8 +176,8 @@ def read_wearer(
 ) -> Wearer:
     """Returns the wearer in the bytes of a GLB or VRM file, for garments of ``body``, the standard one by default.
 
-    ``joints`` are those of ``mapped``, and ``kinds`` the ``corrections`` of ``attire_of``. ``begun`` is called with the
-    name of each stage as it begins: "read", "map", "fit". Raises ``MeshError``, ``MotionError``, ``BodyError`` or
+    ``joints`` are those of ``map_joints``, and ``kinds`` the ``corrections`` of ``attire_of``. ``begun`` is called with
+    the name of each stage as it begins: "read", "map", "fit". Raises ``MeshError``, ``MotionError``, ``BodyError`` or
     ``NotFound`` for what is no person with skeleton and skin.
     """
     begins = begun or (lambda stage: None)
@@ -187,16 +187,16 @@ def read_wearer(
     character = character_in(file)
     whole = file_rig(file, character)
     begins("map")
-    match = mapped(character.skinned, body, joints=joints, label=name)
+    match = map_joints(character.skinned, body, joints=joints, label=name)
     rig = match.rig
-    pose = t_posed(character, rig)
+    pose = to_t_pose(character, rig)
     _check_limbs(pose, rig, name)
     assert character.triangle is not None
     colours = face_colours(file, character.primitives)[character.triangle]
     attire = attire_of(file, character, pose, colours, corrections=kinds)
     begins("fit")
     layers = layers_of(attire, pose)
-    seen = shrunk(pose, layers.hollow).only(layers.body | layers.hollow)
+    seen = shrink(pose, layers.hollow).only(layers.body | layers.hollow)
     fit = fit_to(seen, body)
     shaped = avatar_body(fit, seen, body, name=name, covered=pose.only(layers.felt))
     root = JOINT_NAMES.index("pelvis")
@@ -311,7 +311,7 @@ def save_wearer(wearer: Wearer, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / wearer.file_name()
     with whole_file(path) as file:
-        file.write(packed(arrays, quick=True))
+        file.write(pack(arrays, quick=True))
     return path
 
 

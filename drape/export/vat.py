@@ -50,7 +50,7 @@ def vat_files(layers: Sequence[MovingGarment], fps: float, name: str) -> dict[st
     Raises ``Unavailable`` without OpenEXR, and ``InputError`` for more frames than a texture has rows for.
     """
     check_vat()
-    whole = merged(layers, name)
+    whole = merge_layers(layers, name)
     corners, frames = split_seams(whole.surface), whole.vertices
     most = MOST_ROWS // (2 * -(-len(corners.source) // WIDTH))
     if len(frames) > most:
@@ -75,7 +75,7 @@ def vat_files(layers: Sequence[MovingGarment], fps: float, name: str) -> dict[st
     }  # fmt: skip
 
 
-def merged(layers: Sequence[MovingGarment], name: str) -> MovingGarment:
+def merge_layers(layers: Sequence[MovingGarment], name: str) -> MovingGarment:
     """Returns ``layers`` as one mesh called ``name``, with the materials of all."""
     surfaces = [layer.surface for layer in layers]
     starts = np.cumsum([0, *(surface.vertex_count for surface in surfaces)]).tolist()

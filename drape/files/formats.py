@@ -79,7 +79,7 @@ BESIDE_SUFFIXES = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".webp", ".tga", ".b
 MESH_CONTENT_TYPES: dict[str, str] = {kind: one.name for one in MESH_FORMATS for kind in one.content_types}
 
 
-def listed() -> str:
+def format_list() -> str:
     """Returns the names of all formats for a sentence: ``OBJ, GLB, GLTF, ..., USDZ or ZIP``."""
     *first, final = (name.upper() for name in MESH_NAMES)
     return f"{', '.join(first)} or {final}"

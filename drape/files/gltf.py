@@ -17,7 +17,7 @@ import numpy as np
 
 from drape.errors import MeshError
 from drape.files.gltf_compressed import DRACO, MESHOPT, draco_parts, meshopt_view
-from drape.files.gltf_json import EXPORT, SHRINK, Document, document_of, shown
+from drape.files.gltf_json import EXPORT, SHRINK, Document, document_of, excerpt
 
 FILE_BYTES = 96 * 2**20
 JSON_BYTES = 16 * 2**20
@@ -57,7 +57,7 @@ class GltfFile:
         not have; it names the field ``said``, where the index stood."""
         rows = getattr(self.document, key)
         if type(index) is not int or not 0 <= index < len(rows):
-            raise self._fault(said or key, f"an index of {key} below {len(rows)}", shown(index))
+            raise self._fault(said or key, f"an index of {key} below {len(rows)}", excerpt(index))
         return rows[index]
 
     def count(self, index: Any) -> int:
@@ -72,7 +72,7 @@ class GltfFile:
         accessor, count = self.item("accessors", index), self.count(index)
         kind, width = _known(COMPONENTS, accessor.get("componentType")), _known(WIDTHS, accessor.get("type"))
         if kind is None or width is None or not 0 < count * width <= MOST_NUMBERS:
-            got = ", ".join(shown(accessor.get(key)) for key in ("componentType", "type", "count"))
+            got = ", ".join(excerpt(accessor.get(key)) for key in ("componentType", "type", "count"))
             raise self._fault(f"accessors[{index}]", f"numbers of a known type, at most {MOST_NUMBERS:,}", got)
         if index in self._draco:
             values = self._from_draco(index, count, width, kind)
@@ -115,10 +115,10 @@ class GltfFile:
             packed = extensions.get(MESHOPT) if isinstance(extensions, dict) else None
             entry = held if packed is None else packed
             if not isinstance(entry, dict):
-                raise self._fault(f"bufferViews[{index}]", "an object", shown(entry))
+                raise self._fault(f"bufferViews[{index}]", "an object", excerpt(entry))
             start, size, buffer = (entry.get(key, 0) for key in ("byteOffset", "byteLength", "buffer"))
             if not all(type(one) is int and one >= 0 for one in (start, size, buffer)):
-                raise self._fault(f"bufferViews[{index}]", "whole numbers", ", ".join(map(shown, (start, size))))
+                raise self._fault(f"bufferViews[{index}]", "whole numbers", ", ".join(map(excerpt, (start, size))))
             content = self._buffer(buffer)
             if start + size > len(content):
                 raise self._fault(f"bufferViews[{index}]", f"at most {len(content)} bytes", f"{start + size}")
@@ -134,7 +134,7 @@ class GltfFile:
             content = self._binary if uri is None and index == 0 else self._named(uri)
             if content is None:
                 cure = "Send it in the same zip, or export as one GLB file."
-                raise self._fault(f"buffers[{index}]", "bytes in the file or beside it", shown(uri), cure)
+                raise self._fault(f"buffers[{index}]", "bytes in the file or beside it", excerpt(uri), cure)
             self._buffers[index] = content
         return self._buffers[index]
 
@@ -158,7 +158,7 @@ class GltfFile:
         except (KeyError, TypeError) as error:
             raise self._fault("accessor.sparse", "count, indices and values", str(error)[:40]) from error
         if not isinstance(count, int) or not 0 < count <= len(array) or index_kind in (None, np.float32):
-            raise self._fault("accessor.sparse", f"at most {len(array)} whole indices", shown(count))
+            raise self._fault("accessor.sparse", f"at most {len(array)} whole indices", excerpt(count))
         rows = self._rows(views[0], where.get("byteOffset", 0), count, 1, index_kind)[:, 0].astype(np.int64)
         if rows.min() < 0 or rows.max() >= len(array):
             raise self._fault("accessor.sparse", f"indices below {len(array)}", str(rows.max()))
@@ -174,7 +174,7 @@ class GltfFile:
         stride = row if stride is None else stride
         numbers = (stride, offset, count)
         if not all(type(one) is int and one >= 0 for one in numbers):
-            raise self._fault(f"bufferViews[{view}]", "whole numbers", ", ".join(map(shown, numbers)))
+            raise self._fault(f"bufferViews[{view}]", "whole numbers", ", ".join(map(excerpt, numbers)))
         if stride < row or offset + (count - 1) * stride + row > len(content):
             got = f"{len(content)} bytes of {stride}"
             raise self._fault(f"bufferViews[{view}]", f"{count} rows of {row} bytes", got)

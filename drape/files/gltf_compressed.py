@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from drape.errors import MeshError
-from drape.files.gltf_json import EXPORT, Primitive, shown
+from drape.files.gltf_json import EXPORT, Primitive, excerpt
 
 DRACO, MESHOPT = "KHR_draco_mesh_compression", "EXT_meshopt_compression"
 MOST_BYTES = 192 * 2**20
@@ -60,7 +60,7 @@ def meshopt_view(payload: bytes, entry: dict[str, Any], label: str) -> bytes:
     right = right and (0 < stride <= 256 and stride % 4 == 0 if wide else stride in (2, 4))
     right = right and (mode != "TRIANGLES" or count % 3 == 0) and (filter_name == "NONE" or (wide and stride in sides))
     if not right:
-        got = ", ".join(map(shown, (count, stride, mode, filter_name)))
+        got = ", ".join(map(excerpt, (count, stride, mode, filter_name)))
         raise MeshError(label, expected="count, byteStride, mode and filter that go together", got=got, cure=EXPORT)
     library = _library("meshoptimizer", label)
     try:

@@ -188,10 +188,10 @@ def _refusal(error: ValidationError, label: str) -> MeshError:
     first = error.errors(include_url=False)[0]
     field = "".join(f"[{part}]" if isinstance(part, int) else f".{part[:60]}" for part in first["loc"]).lstrip(".")
     wanted = re.sub(r"^([A-Z]\w+ should (be |have )?)| after validation.*| or instance of \w+", "", first["msg"])
-    expected, got = ("a value", "nothing") if first["type"] == "missing" else (wanted, shown(first["input"]))
+    expected, got = ("a value", "nothing") if first["type"] == "missing" else (wanted, excerpt(first["input"]))
     return MeshError(f"{label}: {field or 'JSON'}", expected=expected, got=got, cure=EXPORT)
 
 
-def shown(value: Any) -> str:
+def excerpt(value: Any) -> str:
     """Returns at most 60 letters that show the ``value`` of a document, however deep it is."""
     return f"a {type(value).__name__} of {len(value)}" if isinstance(value, (dict, list)) else repr(value)[:60]

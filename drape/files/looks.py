@@ -98,7 +98,7 @@ def looks_of(description: dict[str, Any], content: np.ndarray) -> Looks:
     return Looks(materials, pictures)
 
 
-def kept_pictures(looks: Looks, cleaned: Sequence[bytes | None]) -> Looks:
+def replace_pictures(looks: Looks, cleaned: Sequence[bytes | None]) -> Looks:
     """Returns ``looks`` with the pictures ``cleaned`` in place of its own. Where one is None, materials show no
     picture."""
     numbers = [number for number, picture in enumerate(cleaned) if picture is not None]

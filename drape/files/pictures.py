@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from drape.errors import MeshError
 from drape.files.ktx2 import SIGNATURE, ktx2_picture
-from drape.files.looks import Looks, kept_pictures
+from drape.files.looks import Looks, replace_pictures
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -20,7 +20,7 @@ LARGEST_SIDE = 2048
 MOST_BYTES = 48 * 2**20  # All pictures of a garment, made anew, have at most so many bytes.
 
 
-def remade(payload: bytes, *, label: str, side: int = LARGEST_SIDE) -> bytes:
+def remake_picture(payload: bytes, *, label: str, side: int = LARGEST_SIDE) -> bytes:
     """Returns the picture in ``payload`` as the bytes of a new file, none of whose sides is longer than ``side``
     [pixels]: JPEG if it was a JPEG, or a WebP or KTX2 without alpha, otherwise PNG.
 
@@ -62,14 +62,14 @@ def _opened(payload: bytes, side: int, label: str) -> Image.Image:
     return Image.open(io.BytesIO(payload), formats=READ)
 
 
-def with_remade(looks: Looks) -> tuple[Looks, tuple[str, ...]]:
+def remake_pictures(looks: Looks) -> tuple[Looks, tuple[str, ...]]:
     """Returns ``looks`` with its pictures made anew, and warnings. A picture that cannot be made is left out, and a
     warning says why."""
     cleaned: list[bytes | None] = []
     notes, size = [], 0
     for number, picture in enumerate(looks.pictures, start=1):
         try:
-            png = remade(picture, label=f"picture {number}")
+            png = remake_picture(picture, label=f"picture {number}")
             size += len(png)
             if size > MOST_BYTES:
                 most, cure = f"at most {MOST_BYTES >> 20} MiB of pictures", "Export them smaller."
@@ -78,13 +78,13 @@ def with_remade(looks: Looks) -> tuple[Looks, tuple[str, ...]]:
         except MeshError as error:
             notes.append(f"warning: a picture is left out: {error}")
             cleaned.append(None)
-    return kept_pictures(looks, cleaned), tuple(notes)
+    return replace_pictures(looks, cleaned), tuple(notes)
 
 
 def metallic_roughness(metallic: Channel | None, roughness: Channel | None, *, label: str) -> bytes:
     """Returns the PNG file that glTF takes: roughness in green and metallic in blue, each from a channel (0 to 3) of
-    the bytes of a picture; white where there is none. At least one is given. Raises ``MeshError`` as ``remade`` does.
-    """
+    the bytes of a picture; white where there is none. At least one is given. Raises ``MeshError`` as ``remake_picture``
+    does."""
     from PIL import Image
 
     planes = [None if one is None else _channel(*one, label=label) for one in (roughness, metallic)]
@@ -99,5 +99,5 @@ def metallic_roughness(metallic: Channel | None, roughness: Channel | None, *, l
 def _channel(payload: bytes, number: int, *, label: str) -> Image.Image:
     from PIL import Image
 
-    with Image.open(io.BytesIO(remade(payload, label=label))) as image:
+    with Image.open(io.BytesIO(remake_picture(payload, label=label))) as image:
         return image.convert("RGBA").getchannel(number)

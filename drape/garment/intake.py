@@ -27,7 +27,7 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.errors import InputError, refusing
-from drape.files.pictures import with_remade
+from drape.files.pictures import remake_pictures
 from drape.forked import each
 from drape.garment import avatars
 from drape.garment.accessories import bones_that_carry
@@ -156,7 +156,7 @@ HERE = {"unit": "m", "up": "y", "facing": "z", "trans": [0.0, 0.0, 0.0]}  # of a
 
 def intake_mesh(mesh: GarmentMesh, body: BodyModel, *, digest: str) -> Garment:
     """Makes one garment of a ``mesh`` that lies on ``body`` in T-pose, in metres; raises what ``intake`` does."""
-    looks, notes = with_remade(mesh.looks)
+    looks, notes = remake_pictures(mesh.looks)
     named = replace(mesh, name=garment_name(mesh.name), looks=looks).noted(*notes)
     file = _File(named, b"", HERE, None, digest, DEFAULT_OPTIONS.completed_by(None))
     (garment,) = _made(file, body, lambda line: None, lambda stage: None, whole=True, counted=False)
