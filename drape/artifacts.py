@@ -26,7 +26,8 @@ DEFAULT_MODEL = "onefit"
 
 @dataclass(frozen=True)
 class TensorSpec:
-    """One input or output of a graph; symbolic axes are names, fixed axes numbers."""
+    """One input or output tensor of a graph. ``shape`` has the length of each axis, or a name where the length is free.
+    ``dtype`` is NumPy's name of the type, ``unit`` that of the numbers, empty where it is not told."""
 
     name: str
     shape: tuple[str | int, ...]
@@ -40,7 +41,7 @@ class TensorSpec:
 
 @dataclass(frozen=True)
 class GraphSpec:
-    """One ONNX file: its hash and its tensors."""
+    """One ONNX file of a model: its name in the model's folder, its sha256 (hexadecimal), its opset and its tensors."""
 
     file: str
     sha256: str
@@ -51,9 +52,9 @@ class GraphSpec:
 
 @dataclass(frozen=True)
 class ParameterSpec:
-    """The ``offset`` [bytes] in the file of weights at which a parameter of the network begins, float32 of ``shape``.
+    """Where a parameter of the network lies in the file of weights: float32 of ``shape``, from byte ``offset`` on.
 
-    A ``turned`` matrix is stored transposed, as the graphs multiply with it.
+    A ``turned`` matrix is stored transposed, as the graphs multiply with it; ``shape`` is that of the parameter itself.
     """
 
     offset: int
@@ -67,8 +68,8 @@ class ParameterSpec:
 
 @dataclass(frozen=True)
 class WeightsSpec:
-    """The file of tensors outside the ONNX files (ONNX external data), its hash, and the places in it of the network's
-    ``parameters``, by their names in training."""
+    """The file of the tensors that lie outside the ONNX files (ONNX external data): its name in the model's folder, its
+    sha256 (hexadecimal), and where in it the network's ``parameters`` lie, by their names in training."""
 
     file: str
     sha256: str
@@ -77,7 +78,7 @@ class WeightsSpec:
 
 @dataclass(frozen=True)
 class FileSpec:
-    """A file beside the graphs, and its hash."""
+    """A file of the model's folder beside the graphs: its name and its sha256 (hexadecimal)."""
 
     file: str
     sha256: str
@@ -116,9 +117,10 @@ class Manifest:
 
     @property
     def digest(self) -> str:
-        """One hash for the whole model, hexadecimal: the key of everything computed with it."""
+        """The sha256 (hexadecimal) of the hashes of all graphs and of the file of weights: the key of whatever is
+        computed with the model."""
         joined = "".join(f"{key}{self.graphs[key].sha256}" for key in sorted(self.graphs))
-        if self.weights is not None:  # two trainings of one network differ here alone
+        if self.weights is not None:  # Two trainings of one network differ here alone.
             joined += f"weights{self.weights.sha256}"
         return hashlib.sha256(joined.encode()).hexdigest()
 
@@ -158,9 +160,8 @@ def _refused(name: str, expected: str, got: object) -> ArtifactError:
 
 
 def read_parameters(folder: Path, weights: WeightsSpec) -> dict[str, np.ndarray]:
-    """Returns the parameters of the network in the model ``folder`` by name, float32; ``weights`` is the manifest's
-    entry.
-    """
+    """Returns the parameters of the network in the model ``folder``: float32 arrays by their names in training.
+    ``weights`` is the entry of the model's manifest."""
     content = (folder / weights.file).read_bytes()
 
     def read(place: ParameterSpec) -> np.ndarray:
@@ -172,21 +173,23 @@ def read_parameters(folder: Path, weights: WeightsSpec) -> dict[str, np.ndarray]
 
 
 def file_digest(path: Path) -> str:
-    """sha256 of a file, hexadecimal."""
+    """Returns the sha256 of a file, hexadecimal."""
     with open(path, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def model_folder(name: str | Path) -> Path:
-    """The folder of a model: ``name`` itself where a model lies there, otherwise that of the name in ``MODELS_DIR``.
-
-    ``load_manifest`` refuses a name that neither has.
-    """
+    """Returns the folder of the model ``name``: ``name`` itself where it is a folder with a manifest, otherwise the
+    folder of that name in ``MODELS_DIR``, which need not exist."""
     return Path(name) if (Path(name) / "manifest.json").is_file() else MODELS_DIR / name
 
 
 def load_manifest(folder: Path) -> Manifest:
-    """The manifest of ``folder`` after checking that the files of graphs and weights are there and unchanged."""
+    """Returns the manifest of the model in ``folder``.
+
+    Raises ``NotFound`` where there is none, and ``ArtifactError`` where it cannot be read or a file that it names is
+    missing or has changed.
+    """
     path = folder / "manifest.json"
     if not path.is_file():
         known = sorted(p.parent.name for p in folder.parent.glob("*/manifest.json"))
@@ -221,12 +224,13 @@ def load_manifest(folder: Path) -> Manifest:
 
 @contextmanager
 def staged_folder(target: Path) -> Iterator[Path]:
-    """A folder to write ``target`` in: published when the block ends, removed when it raises."""
+    """Yields a new empty folder to write in. It takes the place of ``target`` when the block ends, and is removed when
+    the block raises."""
     target.parent.mkdir(parents=True, exist_ok=True)
     staged = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
     try:
         yield staged
-        staged.chmod(0o755)  # mkdtemp makes folders that only the owner can read
+        staged.chmod(0o755)  # mkdtemp makes folders that only the owner can read.
         publish_folder(staged, target)
     except BaseException:
         shutil.rmtree(staged, ignore_errors=True)
@@ -234,7 +238,7 @@ def staged_folder(target: Path) -> Iterator[Path]:
 
 
 def publish_folder(staged: Path, target: Path) -> None:
-    """Replaces ``target`` by the finished folder ``staged``.
+    """Moves the finished folder ``staged`` to ``target``, in the place of what was there.
 
     A crash leaves the old folder (perhaps under ``NAME.old``) or the new one, never a mixture.
     """

@@ -23,7 +23,7 @@ from drape.avatar.joint_springs import JointSprings, fit_springs
 from drape.avatar.rig_motion import RigClip, RigMotion, rig_motion
 from drape.avatar.wearer import Wearer
 from drape.avatar.worn_file import worn_glb, worn_vrm
-from drape.body.pose_distance import wandering
+from drape.body.pose_distance import mixed_poses
 from drape.catalog import MOTIONS_DIR
 from drape.errors import InputError
 from drape.export.glb import GARMENT_COLOURS
@@ -56,7 +56,7 @@ def distil(worn: Worn, motions: Sequence[Motion] | None = None, *, joints: int =
     support = worn.pose_support
     poses = []
     if support is not None:
-        keys = wandering(support, POSES)
+        keys = mixed_poses(support, POSES)
         roaming = MotionClip(keys, np.zeros((len(keys), 3)), POSES_A_S, "poses")
         poses = _draped(worn, wearer, rig, roaming, FPS)
     layers, by_garment = [], zip(*clips, strict=True)

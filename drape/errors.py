@@ -5,9 +5,9 @@
     |   |-- MeshError         a mesh cannot be draped
     |   |-- BodyError         a body file or shape is wrong
     |   |-- MotionError       a pose or a clip is wrong
-    |   |-- NotFound          a name that nothing here has
+    |   |-- NotFound          a name of something that does not exist
     |   |-- TooLarge          more bytes, frames, layers or vertices than are taken
-    |-- ArtifactError         a stored model, cache or asset does not hold together
+    |-- ArtifactError         a stored model, cache or asset is damaged or does not fit
     |-- Unavailable           something that this installation or machine lacks
 
 Every message says four things: the name of the offending value, what was
@@ -26,7 +26,7 @@ from collections.abc import Callable, Iterable
 from typing import ParamSpec
 
 REFUSED_EXIT_CODE = 2
-UNREAD_EXIT_CODE = 128 + 13  # SIGPIPE
+UNREAD_EXIT_CODE = 128 + 13  # The status of a process that SIGPIPE ended.
 
 P = ParamSpec("P")
 
@@ -35,7 +35,7 @@ class DrapeError(Exception):
     """A refusal, and the base of all kinds of refusal.
 
     ``name`` says what was wrong, ``expected`` what would have been right, ``got`` what came, and ``cure`` what to do.
-    ``str()`` is one sentence with all four.
+    ``str()`` is a line with all four.
     """
 
     def __init__(self, name: str, *, expected: str, got: str, cure: str) -> None:
@@ -56,9 +56,8 @@ def _rebuild(kind: type[DrapeError], name: str, expected: str, got: str, cure: s
 
 
 def legible(text: str) -> str:
-    """Returns a stranger's ``text`` for a line of a log, JSON or a header: what cannot be printed, as half a pair of
-    UTF-16 or a line's end, is escaped.
-    """
+    """Returns a stranger's ``text`` for a line of a log, JSON or a header. What cannot be printed is escaped, as half a
+    pair of UTF-16 or the end of a line."""
     return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
@@ -79,7 +78,7 @@ class MotionError(InputError):
 
 
 class NotFound(InputError):
-    """A name that nothing here answers to."""
+    """A name of something that does not exist here."""
 
 
 class TooLarge(InputError):
@@ -87,17 +86,16 @@ class TooLarge(InputError):
 
 
 class ArtifactError(DrapeError):
-    """A stored model, cache or asset that does not hold together."""
+    """A stored model, cache or asset that is damaged or does not fit."""
 
 
 class Unavailable(DrapeError):
-    """Something that this installation or machine does not have."""
+    """Something that this installation or machine lacks, such as a package."""
 
 
 def while_read(main: Callable[P, int]) -> Callable[P, int]:
-    """Wraps the ``main`` of a command. Where nobody reads its output any more (``... | head``) the wrapped function
-    ends silently, and returns the status of SIGPIPE.
-    """
+    """Returns the ``main`` of a command wrapped so that it ends silently where nobody reads its output any more, as
+    behind a pipe to ``head``. It then returns the exit status of SIGPIPE, 141."""
 
     @functools.wraps(main)
     def written(*args: P.args, **kwargs: P.kwargs) -> int:
@@ -109,17 +107,16 @@ def while_read(main: Callable[P, int]) -> Callable[P, int]:
             look = select.poll()
             look.register(sys.stdout.fileno())
             if not any(event & select.POLLERR for _, event in look.poll(0)):
-                raise  # another pipe
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more at its end
+                raise  # It was another pipe.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more at its end.
             return UNREAD_EXIT_CODE
 
     return written
 
 
 def refusing(main: Callable[P, int]) -> Callable[P, int]:
-    """Wraps the ``main`` of a command. Where it raises a refusal (``DrapeError``) the wrapped function prints its
-    sentence and returns 2. It also does what ``while_read`` does.
-    """
+    """Returns the ``main`` of a command wrapped so that a refusal (``DrapeError``) prints its sentence to standard
+    error and returns the exit status 2. The wrapped function also does what ``while_read`` does."""
 
     @while_read
     @functools.wraps(main)
@@ -134,9 +131,8 @@ def refusing(main: Callable[P, int]) -> Callable[P, int]:
 
 
 def exit_status(main: Callable[[], object]) -> int:
-    """Runs the ``main`` of a command that returns no exit status, and returns one: 0, or 2 after the sentence of a
-    refusal.
-    """
+    """Runs the ``main`` of a command, whose result does not count, and returns its exit status: 0, or 2 after the
+    sentence of a refusal. It also does what ``while_read`` does."""
 
     def run() -> int:
         main()
@@ -146,9 +142,8 @@ def exit_status(main: Callable[[], object]) -> int:
 
 
 def did_you_mean(name: str, known: Iterable[str], cure: str) -> str:
-    """Returns ``cure``, preceded by the name in ``known`` that ``name`` was probably meant to be, if there is a similar
-    one.
-    """
+    """Returns ``cure``. If a name in ``known`` is similar to ``name``, the question whether that one was meant comes
+    first."""
     by_lower = {one.lower(): one for one in known}
     near = difflib.get_close_matches(name[:120].lower(), by_lower, n=1, cutoff=0.7)
     return f"Did you mean {by_lower[near[0]]}? {cure}" if near else cure

@@ -25,7 +25,7 @@ from pydantic import ValidationError
 from drape.avatar.covered import UNSEEN_M, covered_faces
 from drape.avatar.file_skeleton import FileRig
 from drape.avatar.own_clothes import NEITHER, Halves, joined_halves
-from drape.avatar.own_garments import OwnGarments, body_of, dressed_in, halves_on, own_faces, own_garments, undressed
+from drape.avatar.own_garments import OwnGarments, body_of, halves_on, own_faces, own_garments, split_own, undress
 from drape.avatar.rig_file import Dressed
 from drape.avatar.rig_motion import RigClip
 from drape.avatar.wearer import Wearer, read_wearer, wearer_name
@@ -59,7 +59,7 @@ from drape.stages.walk import run
 from drape.wire.options import Advanced, DrapeOptions, Inertia, TierName
 
 MODEL = "onefit"
-CHUNK_FRAMES = 8  # computed together; numbers do not depend on it
+CHUNK_FRAMES = 8  # Frames that are computed together. The numbers do not depend on it.
 MOST_FRAMES = 1 << 20
 
 
@@ -76,9 +76,9 @@ class Defaults:
 class Frame:
     """One draped frame of a motion.
 
-    ``time_s``: its time [s]. ``vertices`` (V, 3) [m], float32, world axes: those of one garment after the other.
-    ``novelty``: how unlike the poses of training this pose is; above 1 it is unlike them. ``pushed_share``: the share
-    of the vertices that were moved off the skin.
+    ``time_s`` is its time [s]. ``vertices`` [m] (V, 3), float32, are those of all visible garments, one garment after
+    the other, in the world. ``novelty`` says how unlike the poses of training this pose is: above 1 it is unlike them.
+    ``pushed_share`` in [0, 1] is the share of the vertices that were moved off the skin.
     """
 
     time_s: float
@@ -88,10 +88,11 @@ class Frame:
 
 
 def load(model: str | Path = MODEL, body: str | Path = DEFAULT_BODY) -> Drape:
-    """Opens a model and a body. Without arguments these are the shipped ones.
+    """Returns a model with the body that it drapes garments on. Without arguments these are the shipped ones.
 
     ``model``: the name of a shipped model, or the folder of another. ``body``: the name of a shipped body, or the file
-    of another. Raises ``ArtifactError`` if a file is damaged, or if the model was trained on another body.
+    of another. Raises ``NotFound`` for a name that does not exist, and ``ArtifactError`` if a file is damaged, or if
+    the model was trained on another body.
     """
     folder = Path(model)
     engine = Engine(folder if folder.is_dir() else ASSETS / "models" / str(model))
@@ -105,7 +106,7 @@ class Drape:
         self._runtime = runtime
         self._characters: dict[Path, Wearer] = {}
         self._own: dict[Path, OwnGarments] = {}
-        self._stages: dict[str, BodyStages] = {}  # by the digest of a body
+        self._stages: dict[str, BodyStages] = {}  # Keys are digests of bodies.
 
     @property
     def body(self) -> BodyModel:
@@ -114,17 +115,17 @@ class Drape:
 
     @property
     def garments(self) -> list[str]:
-        """The names of the shipped garments."""
+        """The sorted names of the shipped garments."""
         return sorted(short_name(path) for path in GARMENTS_DIR.glob("*.npz"))
 
     @property
     def motions(self) -> list[str]:
-        """The names of the shipped clips."""
+        """The sorted names of the shipped clips."""
         return sorted(path.stem for path in MOTIONS_DIR.glob("*.npz"))
 
     @property
     def fabrics(self) -> list[str]:
-        """The names of the fabrics."""
+        """The sorted names of the fabrics."""
         return sorted(FABRICS)
 
     def wear(
@@ -137,21 +138,22 @@ class Drape:
         size: SizeChoice = None,
         **options: Any,
     ) -> Worn:
-        """Puts ``garments`` on the body.
+        """Returns ``garments`` on the body, ready to be draped.
 
         ``garments``: one garment, or several worn over each other, the innermost first. Each is a shipped name, a file
         (a mesh of one garment or several, or a stored garment), or a ``Garment`` that ``drape.intake`` made. ``on``:
         the GLB or VRM file of a character that wears them in place of the body. ``alive``: its own clothes are draped
-        as well, but for those that ``garments`` replace; it takes seconds. ``betas``: its shape coefficients.
-        ``size``: "S", "M", "L" or "XL" of all garments, or a list with one of each and None where a garment comes in
-        one; a size takes seconds. ``options`` are the fields of ``DrapeOptions``, such as ``tier``, ``fabric``,
-        ``hidden`` and ``colliders``.
+        as well, but for those that ``garments`` replace; it takes seconds. ``betas``: its shape coefficients. ``size``:
+        "S", "M", "L" or "XL" of all garments, or a list with one of each and None where a garment comes in one; a size
+        takes seconds. ``options`` are the fields of ``DrapeOptions``, such as ``tier``, ``fabric``, ``hidden`` and
+        ``colliders``.
+
         Raises ``InputError`` for an unknown option or a value out of range, ``NotFound`` for an unknown name or size,
         and ``BodyError`` for a character that cannot wear one of them.
         """
-        asked = [garments] if isinstance(garments, (str, Path, Garment)) else list(garments)
+        choices = [garments] if isinstance(garments, (str, Path, Garment)) else list(garments)
         wearer = None if on is None else self._character(Path(on))
-        entries = tuple(entry for one in asked for entry in self._entries(one))
+        entries = tuple(entry for choice in choices for entry in self._entries(choice))
         if alive and on is None:
             cure = "Name the file of a character: on=FILE."
             raise InputError("alive", expected="a character", got="the standard body", cure=cure)
@@ -166,15 +168,15 @@ class Drape:
         body, halves = self.body, NEITHER
         if wearer is not None:
             halves = self._halves_on(wearer, entries)
-            below, over = dressed_in(own, halves)
-            entries = (*map(_own_entry, below), *entries, *map(_own_entry, over))
-            body = wearer.body_under(halves_on(wearer, [one.garment for one in entries], self.body))
+            below, over = split_own(own, halves)
+            entries = (*map(_entry, below), *entries, *map(_entry, over))
+            body = wearer.body_under(halves_on(wearer, [entry.garment for entry in entries], self.body))
             stages = self._stages_of(body)
             cut = [
-                tailored(one.garment, body_of(one.garment, wearer, self.body), body, shoes_m=wearer.shoes_m)
-                for one in entries
+                tailored(entry.garment, body_of(entry.garment, wearer, self.body), body, shoes_m=wearer.shoes_m)
+                for entry in entries
             ]
-            entries = tuple(replace(one, garment=its, worn=stages) for one, its in zip(entries, cut, strict=True))
+            entries = tuple(replace(entry, garment=its, worn=stages) for entry, its in zip(entries, cut, strict=True))
         if len(entries) > 1:
             check_layers([entry.garment for entry in entries])
         scene: Scene = entries[0] if len(entries) == 1 else Outfit(entries)
@@ -211,17 +213,14 @@ class Drape:
             self._own[path] = own_garments(path.read_bytes(), self._character(path))
         return self._own[path].garments
 
-    def _entries(self, asked: str | Path | Garment) -> list[Entry]:
-        if isinstance(asked, Garment):
-            garments = [asked]
-        else:
-            (path,) = find_garments([str(asked)])[:1]
-            garments = open_outfit(path, self.body)
-        return [Entry(garment.name, garment, "user") for garment in garments]
+    def _entries(self, choice: str | Path | Garment) -> list[Entry]:
+        if isinstance(choice, Garment):
+            return [_entry(choice)]
+        return list(map(_entry, open_outfit(find_garments([str(choice)])[0], self.body)))
 
 
 class WornBy(NamedTuple):
-    """A character that wears garments, its ``file``, and the ``halves`` of its body on which our garments lie."""
+    """The character that wears garments, its ``file``, and the ``halves`` of its body on which our garments lie."""
 
     wearer: Wearer
     file: Path
@@ -247,7 +246,8 @@ class Worn:
 
     @property
     def garments(self) -> list[Garment | BoundMesh]:
-        """The visible garments, the innermost first. Each has its ``faces`` (F, 3) and its ``vertex_count``."""
+        """The meshes of the visible garments that are drawn, the innermost first. Each has its ``faces`` (F, 3) and its
+        ``vertex_count``."""
         return [garment.surface for garment in self.layers]
 
     @property
@@ -257,28 +257,29 @@ class Worn:
 
     @property
     def layers(self) -> list[Garment]:
-        """The visible garments with all that intake knows of them."""
+        """The visible garments, the innermost first, with their patches and all else that intake found."""
         return [entry.garment for entry in self._plan.shown.layers]
 
     @cached_property
     def character_file(self) -> bytes:
-        """The file of the character without the faces that the garments replace and those that lie deep below them, and
-        with skin where it is bare then.
+        """The bytes of the character's file without the faces that the garments replace and those that lie deep below
+        them, and with skin where it is bare then.
 
         Raises ``InputError`` for garments on the standard body.
         """
         wearer, rig = self.on_rig()
         assert self._worn_by is not None
         cloth = [(one.vertices, one.faces) for one in self.layers]
-        left = undressed(wearer, own_faces(wearer, self.layers), cloth, self._worn_by.halves)
+        left = undress(wearer, own_faces(wearer, self.layers), cloth, self._worn_by.halves)
         own = covered_faces(wearer.vertices, wearer.faces, cloth, margin_m=UNSEEN_M)
         skin = covered_faces(wearer.body.v_template, wearer.body.faces, cloth, margin_m=UNSEEN_M)
-        left = left._replace(off=left.off | own, bare=left.bare & ~skin, deep=None)  # players draw nothing deeper
+        left = left._replace(off=left.off | own, bare=left.bare & ~skin, deep=None)  # Players draw nothing deeper.
         return undressed_file(self._worn_by.file.read_bytes(), wearer, rig, left)
 
     def glb(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> bytes:
-        """Returns the character's file in the garments over ``motion``, which ``placed`` describes, with a morph target
-        for each frame: as it is draped, in 16 bytes a vertex and frame. ``drape.distil`` makes smaller ones.
+        """Returns the bytes of the character's file with the garments in it and an animation of ``motion``, which
+        ``placed`` describes. Each garment has a morph target for each frame, which is its drape, in 16 bytes a vertex.
+        ``drape.distil`` makes smaller files.
 
         Raises ``InputError`` for garments on the standard body.
         """
@@ -290,7 +291,7 @@ class Worn:
         return worn_on_rig(self.character_file, list(layers), on_rig, wearer, rig).to_bytes()
 
     def on_rig(self) -> tuple[Wearer, FileRig]:
-        """Returns the character and the rig of its file; raises ``InputError`` for garments on the standard body."""
+        """Returns the character and the rig of its file. Raises ``InputError`` for garments on the standard body."""
         if self.wearer is None or self.wearer.file is None:
             cure = "Name the file of a character: wear(..., on=FILE)."
             expected, got = "garments on a character, which has a rig", "the standard body"
@@ -299,7 +300,7 @@ class Worn:
 
     @property
     def pose_support(self) -> PoseSupport | None:
-        """The poses that the model was trained on, where it keeps them."""
+        """The poses of training that the model keeps; None where it keeps none."""
         return self._runtime.engine.pose_support
 
     @property
@@ -310,8 +311,8 @@ class Worn:
     def placed(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> MotionClip:
         """Returns ``motion`` as a clip of ``fps`` frames a second.
 
-        ``motion``: a shipped name, a file (``read_motion``), or a clip. The soles of the body are put on the ground,
-        unless ``as_recorded`` leaves the translations as they are. Raises ``NotFound`` for an unknown name and
+        ``motion``: a shipped name, a file (``read_motion``), or a clip. The soles of the body are put on the ground y =
+        0, unless ``as_recorded`` leaves the translations as they are. Raises ``NotFound`` for an unknown name and
         ``MotionError`` for a file that cannot be read.
         """
         clip = motion if isinstance(motion, MotionClip) else read_motion(find_motions([str(motion)])[0])
@@ -320,9 +321,8 @@ class Worn:
         return clip if clip.fps == fps else clip.resampled(fps)
 
     def play(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> Iterator[Frame]:
-        """Yields the frames of ``motion``, which ``placed`` describes. The first frame is cloth at rest, whatever
-        ``pose`` has draped before.
-        """
+        """Yields the draped frames of ``motion``, which ``placed`` describes. The first frame is cloth at rest,
+        whatever ``pose`` has draped before."""
         clip = self.placed(motion, fps=fps, as_recorded=as_recorded)
         poses, trans = motion_arrays(clip.poses, clip.trans, max_frames=MOST_FRAMES)
         whole = PoseInput(poses, trans, self._betas, np.arange(len(poses)) / clip.fps)
@@ -334,10 +334,10 @@ class Worn:
             yield from _frames(batch, part)
 
     def pose(self, pose: np.ndarray, trans: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0), *, time_s: float) -> Frame:
-        """Returns the frame of one ``pose`` (24, 3) [rad], with the root moved by ``trans`` (3,) [m].
+        """Returns the draped frame of one SMPL ``pose`` (24, 3) [rad], with the root displaced by ``trans`` [m] (3,).
 
-        ``time_s`` [s] is the pose's time on a clock that only goes forward. The frame goes on from the one before it;
-        after ``restart`` it begins from cloth at rest. Raises ``MotionError`` for an array that is no pose.
+        ``time_s`` [s] is the pose's time on a clock that only goes forward. The cloth goes on from the frame before;
+        after ``restart`` it begins at rest. Raises ``MotionError`` for an array that is no pose.
         """
         poses, places = motion_arrays(np.asarray(pose)[None], np.asarray(trans)[None], max_frames=1)
         part = PoseInput(poses, places, self._betas, np.array([float(time_s)]), self._memories)
@@ -351,7 +351,7 @@ class Worn:
         self._memories = {}
 
 
-def _own_entry(garment: Garment) -> Entry:
+def _entry(garment: Garment) -> Entry:
     return Entry(garment.name, garment, "user")
 
 

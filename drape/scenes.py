@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drape.avatar.below_cloth import kept_below
+from drape.avatar.below_cloth import keep_below
 from drape.avatar.character_surface import moving_character
 from drape.avatar.rig_motion import RigClip, rig_motion
 from drape.export.clips import moving_layers
@@ -55,4 +55,4 @@ def scene(worn: Worn, motion: Motion, *, fps: float = FPS, as_recorded: bool = F
     wearer, rig = worn.on_rig()
     on_rig = rig_motion(RigClip(*wearer.to_rig(clip.poses, clip.trans), clip.fps), wearer, rig.skeleton)
     parts = moving_character(worn.character_file, on_rig, wearer.scale)
-    return [*kept_below(parts, [(one.vertices, one.faces) for one in worn.layers], layers), *layers]
+    return [*keep_below(parts, [(one.vertices, one.faces) for one in worn.layers], layers), *layers]

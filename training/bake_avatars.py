@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from drape.files.atomic import whole_file
-from drape.files.packed import packed
+from drape.files.packed import pack
 from drape.garment.avatars import AVATARS_FILE, load_phenotypes
 from training.bake_body import sample_anny, z_up_to_y_up
 
@@ -83,7 +83,7 @@ def bake_avatar(out: Path, *, check: int, seed: int) -> dict[str, float]:
     }
     path = out / AVATARS_FILE.name
     with whole_file(path) as file:
-        file.write(packed(arrays))
+        file.write(pack(arrays))
 
     low, high = (np.array([pick(ANCHORS[label]) for label in labels]) for pick in (min, max))
     drawn = low + (high - low) * np.random.default_rng(seed).random((check, len(labels)))

@@ -1,7 +1,7 @@
-"""What is what on a character: which of its faces are skin, face, hair, clothes, shoes, and things that it carries.
+"""What the faces of a character are: skin, face, hair, clothes, shoes, or things that it carries.
 
-Names tell first (``drape.avatar.attire_words``). Faces whose names do not are cut into regions, pieces of one colour:
-a region in a colour that head and hands share is skin, another one is what is worn where it lies.
+Names decide first (``drape.avatar.attire_words``). Faces whose names say nothing are cut into regions, pieces of one
+colour. A region in a colour that head and hands share is skin; any other one is what is worn where it lies.
 """
 
 from __future__ import annotations
@@ -10,8 +10,6 @@ from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse
-from scipy.sparse.csgraph import connected_components
 
 from drape.avatar.attire_words import CLOTH, DOLL, KINDS, kind_of_names
 from drape.avatar.character import Character
@@ -20,11 +18,11 @@ from drape.avatar.t_pose import TPose
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import NotFound, did_you_mean
 from drape.files.gltf import GltfFile
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 
-SAME_COLOUR = 0.11  # the largest difference of a channel, sRGB, between faces of one region, and between skin and skin
-LEAST_SHARE = 0.002  # of the surface: a smaller region goes with its largest neighbour
-BY_NAME, BY_COLOUR, BY_CLOTH = 0.95, 0.6, 0.8  # how sure
+SAME_COLOUR = 0.11  # sRGB channels of faces of one region, and of two pieces of skin, differ by less.
+LEAST_SHARE = 0.002  # A region with a smaller share of the surface goes with its largest neighbour.
+BY_NAME, BY_COLOUR, BY_CLOTH = 0.95, 0.6, 0.8  # Values of ``AttirePart.sure``.
 TOLD = 1.0
 
 
@@ -32,8 +30,8 @@ Names = tuple[str | None, ...]
 
 
 class AttirePart(NamedTuple):
-    """Faces of one ``kind``: their number ``faces`` and how ``sure`` the kind is, 0 to 1; ``bulky`` things stand so far
-    off the trunk that no cloth lies over them."""
+    """A part of a character: a number of ``faces`` of one ``kind``, one of ``KINDS``. ``sure`` in [0, 1] is how certain
+    the kind is. A ``bulky`` part stands so far off the trunk that no cloth lies over it."""
 
     name: str
     kind: str
@@ -43,10 +41,10 @@ class AttirePart(NamedTuple):
 
 
 class Attire(NamedTuple):
-    """The parts of a character and the colours of its faces.
+    """The ``parts`` of a character, and for each of its F faces the index ``part`` (F,) of its part.
 
-    ``parts`` are its parts, and ``part`` (F,) is the number of the part that each face belongs to. ``colours`` (F, 3)
-    are the faces' colours in sRGB, and ``skin_colour`` (3,) is the mean of those of the skin.
+    ``colours`` (F, 3) are the faces' colours, sRGB in [0, 1], and ``skin_colour`` (3,) is the mean of those of the
+    skin.
     """
 
     parts: tuple[AttirePart, ...]
@@ -55,21 +53,26 @@ class Attire(NamedTuple):
     colours: np.ndarray
 
     def of_kinds(self, kinds: Collection[str]) -> np.ndarray:
-        """Which faces (F,) are of ``kinds``."""
+        """Returns the mask (F,) bool of the faces whose part is of one of ``kinds``."""
         return np.array([part.kind in kinds for part in self.parts], dtype=bool)[self.part]
 
 
 def attire_of(
-    file: GltfFile, character: Character, pose: TPose, colours: np.ndarray, *, told: Mapping[str, str] | None = None
+    file: GltfFile,
+    character: Character,
+    pose: TPose,
+    colours: np.ndarray,
+    *,
+    corrections: Mapping[str, str] | None = None,
 ) -> Attire:
-    """Returns the parts of ``character``, which stands in ``pose`` and whose faces have the ``colours`` (F, 3), sRGB.
+    """Returns the parts of ``character``, which was read from ``file``, and the colours of its faces.
 
-    ``told``: the kinds of parts that a client corrects, by the parts' names. Raises ``NotFound`` for a part or a kind
-    that does not exist.
+    ``pose`` is the character in T-pose. ``colours`` (F, 3), sRGB in [0, 1], are those of its faces. ``corrections`` are
+    kinds that a client sets, by the names of the parts. Raises ``NotFound`` for a part or a kind that does not exist.
     """
     surface = _Surface(character, pose, colours)
     names = [_names(file, primitive.node, primitive.primitive) for primitive in character.primitives]
-    kinds_named = [kind_of_names(one) for one in names]
+    kinds_named = list(map(kind_of_names, names))
     plain = len({kind for kind in kinds_named if kind not in (None, "face")}) <= 1
     kinds = np.full(len(pose.faces), -1)
     sure = np.full(len(pose.faces), BY_NAME)
@@ -83,7 +86,7 @@ def attire_of(
     if len(left):
         kinds[left], sure[left] = surface.by_colour(left, kinds), BY_COLOUR
     parts, part = _grouped(character, surface.primitive, kinds, sure, names)
-    attire = Attire(_corrected(parts, told or {}, file.label), part, (0.0, 0.0, 0.0), colours)
+    attire = Attire(_corrected(parts, corrections or {}, file.label), part, (0.0, 0.0, 0.0), colours)
     bare = attire.of_kinds(("skin",))
     bare = bare if bare.any() else attire.of_kinds(("face",))
     rows = bare if bare.any() else np.ones(len(bare), dtype=bool)
@@ -97,9 +100,8 @@ def _names(file: GltfFile, node: int, index: int) -> Names:
     mesh = file.item("meshes", held.mesh)
     number = mesh.primitives[index].material
     material = {} if number is None else file.item("materials", number, "primitives.material")
-    pictures = [one.get("name") for one in (_picture(file, material),) if one]
-    found = [material.get("name"), held.name, mesh.name, *pictures]
-    return tuple(name[:120] if isinstance(name, str) else None for name in found)
+    names = material.get("name"), held.name, mesh.name, _picture(file, material).get("name")
+    return tuple(name[:120] if isinstance(name, str) else None for name in names)
 
 
 def _picture(file: GltfFile, material: dict) -> dict:
@@ -127,7 +129,7 @@ class _Surface:
         self.hip, self.knee = (0.5 * (at[f"left_{one}"] + at[f"right_{one}"]) for one in ("hip", "knee"))
         self.shoulder = 0.5 * (at["left_shoulder"] + at["right_shoulder"])
         self.half_hips = 0.5 * abs(at["left_hip"][0] - at["right_hip"][0])
-        self.pairs = _touching(pose.faces)
+        self.pairs = meshes.hinge_faces(pose.faces)
 
     def share(self, rows: np.ndarray, *parts: str) -> float:
         """How much of the area of ``rows`` lies on ``parts``."""
@@ -141,7 +143,7 @@ class _Surface:
         a, b = self.pairs[inside[self.pairs].all(axis=1)].T
         joined = self.primitive[a] == self.primitive[b]
         like = joined & (np.abs(self.colours[a] - self.colours[b]).max(axis=1) < SAME_COLOUR)
-        label = _components(len(self.area), a[like], b[like])
+        label = mesh_graphs.joined_parts(len(self.area), a[like], b[like])
         least = LEAST_SHARE * self.area[~self.hung].sum()
         for _ in range(4):
             size = np.bincount(label, self.area, label.max() + 1)
@@ -153,7 +155,7 @@ class _Surface:
             pair, count = np.unique(ends, axis=0, return_counts=True)
             best = pair[np.lexsort((size[pair[:, 1]], count))]
             into = np.arange(len(size))
-            into[best[:, 0]] = best[:, 1]  # the last one counts
+            into[best[:, 0]] = best[:, 1]  # Of several neighbours the last one, which is the best, counts.
             bigger = size[into] > size
             label = np.where(bigger, into, np.arange(len(size)))[label]
         return np.where(inside, label, -1)
@@ -270,20 +272,6 @@ class _Surface:
         return bool(self.area[middle][facing].sum() > 0.05 * self.area[below].sum())
 
 
-def _touching(faces: np.ndarray) -> np.ndarray:
-    """Pairs of faces (n, 2) that share an edge."""
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
-    owner = np.repeat(np.arange(len(faces)), 3)
-    order = np.lexsort(edges.T)
-    same = (edges[order][1:] == edges[order][:-1]).all(axis=1)
-    return np.stack([owner[order][:-1][same], owner[order][1:][same]], axis=1)
-
-
-def _components(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    graph = scipy.sparse.coo_matrix((np.ones(len(a)), (a, b)), (count, count))
-    return connected_components(graph, directed=False)[1]
-
-
 def _grouped(
     character: Character,
     primitive: np.ndarray,
@@ -293,7 +281,7 @@ def _grouped(
 ) -> tuple[tuple[AttirePart, ...], np.ndarray]:
     """Faces of one primitive and one kind as a part, and the part (F,) of each face; a part's name is the node's, with
     the material and the kind where these tell it from others."""
-    nodes = [one.node for one in character.primitives]
+    nodes = [mesh_part.node for mesh_part in character.primitives]
     groups: list[AttirePart] = []
     part = np.zeros(len(kinds), dtype=np.int64)
     for number, mesh_part in enumerate(character.primitives):
@@ -304,21 +292,23 @@ def _grouped(
             base = f"{base}/{names[number][0] or mesh_part.primitive}"
         for place, kind in enumerate(there):
             own = rows[index == place]
-            name, known = f"{base} {KINDS[kind]}" if len(there) > 1 else base, {one.name for one in groups}
+            name, known = f"{base} {KINDS[kind]}" if len(there) > 1 else base, {group.name for group in groups}
             name = name if name not in known else f"{name} {len(groups)}"
             part[own] = len(groups)
             groups.append(AttirePart(name, KINDS[kind], len(own), round(float(sure[own].mean()), 2)))
     return tuple(groups), part
 
 
-def _corrected(parts: tuple[AttirePart, ...], told: Mapping[str, str], label: str) -> tuple[AttirePart, ...]:
-    """``parts`` with the kinds that were ``told``."""
+def _corrected(parts: tuple[AttirePart, ...], corrections: Mapping[str, str], label: str) -> tuple[AttirePart, ...]:
+    """``parts`` with the kinds that ``corrections`` has by their names."""
     names = [part.name for part in parts]
-    for name, kind in told.items():
+    for name, kind in corrections.items():
         if name not in names:
             known, cure = ", ".join(names[:40]), did_you_mean(name, names, "GET /avatars/ID lists the parts.")
             raise NotFound(f"{label}: part", expected=f"one of {known}", got=name[:60], cure=cure)
         if kind not in KINDS:
             cure = did_you_mean(kind, KINDS, "Correct the kind.")
             raise NotFound(f"{label}: {name}", expected=f"one of {', '.join(KINDS)}", got=kind[:40], cure=cure)
-    return tuple(part._replace(kind=told[part.name], sure=TOLD) if part.name in told else part for part in parts)
+    return tuple(
+        part._replace(kind=corrections[part.name], sure=TOLD) if part.name in corrections else part for part in parts
+    )

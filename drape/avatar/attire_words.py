@@ -29,9 +29,8 @@ Kind = Literal[
     "carried",
 ]
 KINDS: tuple[str, ...] = get_args(Kind)
-CLOTHES = ("top", "outer", "trousers", "skirt", "dress", "underwear")
-CLOTH = "cloth"  # of words that say that something is worn, and not what
-DOLL = "doll"  # of figures without clothes, in whatever colours
+CLOTH = "cloth"  # Such words say that something is worn, and not what.
+DOLL = "doll"  # Such words name figures without clothes, in whatever colours.
 GENERAL = (CLOTH, DOLL, "skin")
 LONG = 4
 
@@ -74,9 +73,10 @@ _CAPITALS = re.compile(r"(?<=[a-zа-яё])(?=[A-ZА-ЯЁ])|(?<=[A-Z])(?=[A-Z][a-
 
 
 def kind_of_names(names: Iterable[str | None]) -> str | None:
-    """Returns the kind of ``WORDS`` that a thing has by its ``names``, or None where no name has a word of the table.
+    """Returns the kind, a key of ``WORDS``, that a thing has by its ``names``; None where no name has a word of the
+    table.
 
-    The first name that has one decides, so the most telling name comes first. In a name the last word decides: a
+    The first name with such a word decides, so the most telling name comes first. In a name the last word decides: a
     ``hair_ribbon_bag`` is a bag. Words of ``GENERAL`` decide only where there is no other word.
     """
     general: str | None = None
@@ -91,7 +91,7 @@ def kind_of_names(names: Iterable[str | None]) -> str | None:
 
 def _words(name: str) -> list[str]:
     parts = _SPLIT.findall(_CAPITALS.sub(" ", name))
-    whole = _SPLIT.findall(name)  # T-shirt of tShirt, one piece of OnePiece
+    whole = _SPLIT.findall(name)  # "tShirt" and "OnePiece" are words as a whole too.
     return [part.lower() for part in (*whole, *parts)]
 
 

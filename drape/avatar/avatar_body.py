@@ -18,17 +18,17 @@ from drape.body.skeleton import JOINT_COUNT
 from drape.garment.skin import smoothing_matrix
 from drape.geometry.closest import closest_point
 
-SUPPORT = 200  # vertices of the skin that place a joint
-TRUSTED_M = 0.04  # a vertex farther than this from the character keeps the standard body's weights
+SUPPORT = 200  # So many vertices of the skin place a joint.
+TRUSTED_M = 0.04  # A vertex farther from the character keeps the standard body's weights.
 SMOOTHING_PASSES = 3
 
 
 def avatar_body(fit: BodyFit, pose: TPose, body: BodyModel, *, name: str, covered: TPose | None = None) -> BodyModel:
-    """Returns the body of the character in ``pose``, made of ``body`` as ``fit`` has laid it on the character. Its root
-    joint is where that of ``body`` is.
+    """Returns the body that stands for the character in ``pose``: the skin of ``fit``, skinned as the character is, and
+    brought out to the faces of ``covered`` (those of ``pose`` by default). Its root joint lies where that of ``body``
+    does.
 
-    ``covered``: the character's faces that the skin is brought out to, those of ``pose`` by default. The body has no
-    shapes of its own: its ``shapedirs`` are zero.
+    ``body`` is the body that was fitted. The new one has no shapes of its own: its ``shapedirs`` are zero.
     """
     joints = np.where(np.isfinite(pose.joints), pose.joints, fit.joints)
     place = body.joints_template[0] - joints[0]
@@ -38,8 +38,8 @@ def avatar_body(fit: BodyFit, pose: TPose, body: BodyModel, *, name: str, covere
 
 
 def enclosing_body(bare: BodyModel, covered: TPose, standard: BodyModel) -> BodyModel:
-    """Returns the body ``bare`` of a character, made of ``standard``, with its skin brought out to what is ``covered``
-    of the character, in the frame of ``bare``."""
+    """Returns the body ``bare`` of a character with its skin brought out to the faces of ``covered``, which stands in
+    the frame of ``bare``. ``standard`` is the body that ``bare`` was made of."""
     return _brought_out(bare.v_template, bare.weights, bare.joints_template, covered, standard, bare.name)
 
 

@@ -1,7 +1,7 @@
-"""A character's covered skin kept below the cloth, frame by frame, in files that have every frame of it.
+"""A character's covered skin moved below the cloth, frame by frame, for files that hold every frame of it.
 
-What clients draw deeper than it is (``drape.avatar.covered``) is there where it looks to be: by so much skin stands
-through the cloth where the body that garments lie on is not the character's own.
+Skin stands through the cloth where the body that garments lie on is not the character's own. Clients draw such skin
+deeper than it is (``drape.avatar.covered``); what draws nothing deeper needs it in its place.
 """
 
 from __future__ import annotations
@@ -20,25 +20,27 @@ from drape.wanted import go_on
 BELOW_M = 0.002
 
 
-def kept_below(
+def keep_below(
     parts: Sequence[MovingGarment], cloth: Sequence[tuple[np.ndarray, np.ndarray]], worn: Sequence[MovingGarment]
 ) -> list[MovingGarment]:
-    """Returns ``parts`` of a character with their covered skin moved below the cloth, and without their first frame,
-    which is the T-pose.
+    """Returns ``parts`` of a character over the F frames of a clip, with their covered skin below the cloth. Positions
+    are [m] in the world.
 
-    ``cloth`` has vertices [m] (V, 3) and faces (F, 3) of each garment in the T-pose; it says which skin is covered. In
-    every frame that skin is at least ``BELOW_M`` below the garments as they are ``worn``.
+    Frame 0 of ``parts`` is the T-pose, which is left out of the result. ``cloth`` has vertices [m] (V, 3) and faces
+    (F, 3) of each garment in the T-pose, which say what skin is covered. ``worn`` are the garments in the F frames:
+    covered skin that is less than ``BELOW_M`` below them, or stands out of them by less than ``DEEPER_M``, is moved to
+    ``BELOW_M`` below.
     """
-    starts = np.cumsum([0, *(one.surface.vertex_count for one in parts)])
-    faces = np.concatenate([one.surface.faces + start for one, start in zip(parts, starts, strict=False)])
-    whole = np.concatenate([one.vertices for one in parts], axis=1)
+    starts = np.cumsum([0, *(part.surface.vertex_count for part in parts)])
+    faces = np.concatenate([part.surface.faces + start for part, start in zip(parts, starts, strict=False)])
+    whole = np.concatenate([part.vertices for part in parts], axis=1)
     rows, frames = np.unique(faces[covered_faces(whole[0], faces, cloth)]), whole[1:]
     for frame, points in enumerate(frames):
         go_on()
-        for one in worn:
-            points[rows] = _below(points[rows], one.vertices[frame].astype(np.float64), one.surface.faces)
+        for garment in worn:
+            points[rows] = _below(points[rows], garment.vertices[frame].astype(np.float64), garment.surface.faces)
     split = np.split(frames, starts[1:-1], axis=1)
-    return [replace(one, vertices=own) for one, own in zip(parts, split, strict=True)]
+    return [replace(part, vertices=own) for part, own in zip(parts, split, strict=True)]
 
 
 def _below(points: np.ndarray, cloth: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -25,9 +25,9 @@ from drape.geometry.closest import SearchedMesh, on_border
 from drape.geometry.symmetric import ShiftedSystems
 
 STIFFNESS = (3e4, 1e4, 3e3, 1e3, 300.0, 100.0, 30.0, 10.0)
-REACH_M = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05)  # how far a point may be that draws, in those rounds
-FACING = 0.4  # the least cosine between the normals of what draws and what is drawn
-FEW_FACES = 8  # a part of fewer is none
+REACH_M = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05)  # A point draws the skin within this distance, round by round.
+FACING = 0.4  # A point draws skin only if the cosine between their normals is larger.
+FEW_FACES = 8  # A part of fewer faces draws nothing.
 NECK, HEAD = JOINT_NAMES.index("neck"), JOINT_NAMES.index("head")
 SHOULDERS, COLLARS, HANDS = (
     [JOINT_NAMES.index(f"{side}_{joint}") for side in ("left", "right")] for joint in ("shoulder", "collar", "hand")
@@ -37,20 +37,24 @@ LIMB_JOINTS = tuple(
     for side in ("left", "right")
     for limb in (("hip", "knee", "ankle", "foot"), ("shoulder", "elbow", "wrist", "hand"))
 )
-STILL = 0.001  # how much skin that nothing draws stays where it is: else a bent neck swung the head round behind it
-TRUST = {"neck": 0.5, "head": 0.0, "palm": 0.0, "sole": 0.3}  # hair, fingers and shoes are no body: they follow
+# Skin that nothing draws is held where it is by this trust: else a bent neck swung the head round behind it.
+STILL = 0.001
+# Hair, fingers and shoes are no body: there the skin follows the rest.
+TRUST = {"neck": 0.5, "head": 0.0, "palm": 0.0, "sole": 0.3}
 
 
 @dataclass(frozen=True, eq=False)
 class BodyFit:
-    """``vertices`` [m] (Vb, 3) of the standard body on the character in T-pose, and its ``joints`` [m] (24, 3)."""
+    """The standard body laid on a character in T-pose: its ``vertices`` [m] (Vb, 3) and its ``joints`` [m] (24, 3), in
+    the frame of the character's ``TPose``."""
 
     vertices: np.ndarray
     joints: np.ndarray
 
 
 def fit_to(pose: TPose, body: BodyModel) -> BodyFit:
-    """Returns the fit of ``body``, its shape and pose, to the character whose T-pose is ``pose``."""
+    """Returns ``body`` laid on the character whose T-pose is ``pose``: its bones as long as the character's, its skin
+    drawn to the character's surface."""
     joints = target_joints(pose.joints, body.joints_template)
     vertices = _scaled(body, joints)
     target = _Target(pose, body)
@@ -97,32 +101,33 @@ class _Target:
         return near, trust
 
 
-def target_joints(found: np.ndarray, template: np.ndarray) -> np.ndarray:
-    """The body's joints [m] (24, 3) on a character whose joints are ``found`` (24, 3), NaN where it has none.
+def target_joints(known: np.ndarray, template: np.ndarray) -> np.ndarray:
+    """Returns where the body's joints [m] (24, 3) lie on a character whose joints are ``known`` [m] (24, 3), NaN where
+    it has none, in the frame of these. ``template`` [m] (24, 3) are the body's own joints at rest.
 
-    Rigs agree on hips, knees, ankles, shoulders, elbows, wrists and neck. The spine and the collars lie between them
-    as those of ``template`` do, because every rig has them elsewhere. Limbs that end early go on as long as before.
+    Rigs agree on hips, knees, ankles, shoulders, elbows, wrists and neck. The spine and the collars lie between them as
+    in ``template``, because every rig has them elsewhere. A limb that ends early goes on in the scale of its last bone.
     """
-    there: np.ndarray = np.asarray(np.isfinite(found).all(axis=1))
-    hips, shoulders = (_middles(found, template, joint) for joint in ("hip", "shoulder"))
+    there: np.ndarray = np.asarray(np.isfinite(known).all(axis=1))
+    hips, shoulders = (_middles(known, template, joint) for joint in ("hip", "shoulder"))
     size = float(np.linalg.norm(shoulders[1] - hips[1]) / np.linalg.norm(shoulders[0] - hips[0]))
     lean = shoulders[1] - hips[1] - size * (shoulders[0] - hips[0])
     share = np.clip((template - hips[0])[:, 1] / (shoulders[0] - hips[0])[1], 0.0, 1.2)
     joints = hips[1] + size * (template - hips[0]) + share[:, None] * lean
-    wide = np.diff(found[SHOULDERS, 0]) / np.diff(template[SHOULDERS, 0])
+    wide = np.diff(known[SHOULDERS, 0]) / np.diff(template[SHOULDERS, 0])
     joints[COLLARS, 0] = shoulders[1][0] + wide * (template[COLLARS, 0] - shoulders[0][0])
     if there[NECK]:
-        joints[NECK] = found[NECK]
+        joints[NECK] = known[NECK]
     # Rigs begin the head anywhere between nape and ears: never so low that the chin lies on the chest.
     joints[HEAD] = joints[NECK] + size * (template[HEAD] - template[NECK])
     if there[HEAD]:
-        joints[HEAD, 1] = max(joints[HEAD, 1], found[HEAD, 1])
+        joints[HEAD, 1] = max(joints[HEAD, 1], known[HEAD, 1])
     for limb in LIMB_JOINTS:
         scale = size
         for joint in limb:
             parent = PARENTS[joint]
             if there[joint] and joint not in HANDS:
-                joints[joint] = found[joint]
+                joints[joint] = known[joint]
                 if parent in limb:
                     own = np.linalg.norm(template[joint] - template[parent])
                     scale = float(np.linalg.norm(joints[joint] - joints[parent]) / own)
@@ -131,10 +136,10 @@ def target_joints(found: np.ndarray, template: np.ndarray) -> np.ndarray:
     return joints
 
 
-def _middles(found: np.ndarray, template: np.ndarray, joint: str) -> list[np.ndarray]:
-    """The point between the left and the right ``joint`` in ``template``, and in ``found``."""
+def _middles(known: np.ndarray, template: np.ndarray, joint: str) -> list[np.ndarray]:
+    """The point between the left and the right ``joint`` in ``template``, and in ``known``."""
     pair = [JOINT_NAMES.index(f"{side}_{joint}") for side in ("left", "right")]
-    return [rows[pair].mean(axis=0) for rows in (template, found)]
+    return [rows[pair].mean(axis=0) for rows in (template, known)]
 
 
 def _scaled(body: BodyModel, joints: np.ndarray) -> np.ndarray:

@@ -20,16 +20,17 @@ from drape.files.gltf_json import Primitive as FilePrimitive
 from drape.files.gltf_nodes import node_matrix, tree_of, world_matrices
 
 MOST_JOINTS = 400
-MOST_UNITS = 1e12  # where nodes and vertices may be: far enough for any unit of length
+MOST_UNITS = 1e12  # Nodes and vertices may be so far out in any unit of length.
 MOST_VERTICES = 400_000
 LEAST_VERTICES = 100
-WELD_SHARE = 1e-5  # of the height: vertices nearer to each other are one, split for texture coordinates
+# Vertices nearer to each other, as a share of the height, are one that was split for texture coordinates.
+WELD_SHARE = 1e-5
 TRIANGLES = 4
 
 
 class Primitive(NamedTuple):
-    """One primitive of the mesh of ``node``, which is its number in the file: the node's ``name``, its place among the
-    mesh's primitives, and how many ``triangles`` it has."""
+    """One primitive of a glTF mesh: the index ``node`` and the ``name`` of its node in the file, its index
+    ``primitive`` in the mesh, and its number of ``triangles``."""
 
     node: int
     name: str
@@ -39,18 +40,18 @@ class Primitive(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Character:
-    """Nodes and surface of a character.
+    """Nodes and surface of a character, in the unit and the axes of its file.
 
     There are N nodes, parents before children, with ``names`` and ``parents`` (-1: none). ``world`` (N, 4, 4) are their
-    rest transforms in the file's space.
+    world transforms at rest.
 
-    The surface has ``vertices`` (V, 3) at rest, ``faces`` (F, 3) and ``weights`` (V, N), whose rows sum to one.
-    ``primitives`` have the file's triangles one after the other, and ``triangle`` (F,) says which of these each face
-    is. ``hung`` (F,) marks faces of meshes without a skin that hang on a bone, as swords and hats do; a node between
-    moves with the bone above it.
+    The surface has ``vertices`` (V, 3) at rest, ``faces`` (F, 3) and sparse ``weights`` (V, N), whose rows sum to one.
+    ``primitives`` have the file's triangles one after the other, and ``triangle`` (F,) is the index of each face among
+    these triangles. ``hung`` (F,) bool marks faces of meshes without a skin that hang on a bone, as swords and hats do.
+    A mesh whose node is no bone moves with the nearest bone above.
 
-    ``vrm`` is "0", "1" or "". ``humanoid`` has VRM's bones and their numbers among the nodes; it is empty where the
-    file is not a VRM.
+    ``vrm`` is the version "0" or "1" of a VRM, otherwise "". ``humanoid`` has VRM's bones and the indices of their
+    nodes; it is empty where the file is not a VRM.
     """
 
     names: tuple[str, ...]
@@ -66,31 +67,33 @@ class Character:
     hung: np.ndarray | None = None
 
     def only(self, chosen: np.ndarray) -> Character:
-        """The character with no other faces than those that are ``chosen`` (F,), and with their vertices alone."""
+        """Returns the character with the faces ``chosen`` (F,) bool alone, and the vertices that they use. Its
+        ``triangle`` and ``hung`` are None."""
         used, faces = np.unique(self.faces[chosen], return_inverse=True)
         rows = {"vertices": self.vertices[used], "weights": scipy.sparse.csr_matrix(self.weights[used])}
         return replace(self, faces=faces.reshape(-1, 3), triangle=None, hung=None, **rows)
 
     @property
     def skinned(self) -> Character:
-        """The character without what hangs on its bones."""
+        """The character without the faces that hang on its bones."""
         return self if self.hung is None or not self.hung.any() else self.only(~self.hung)
 
     @property
     def places(self) -> np.ndarray:
-        """The positions (N, 3) of the nodes at rest, in the unit and the space of the file."""
+        """The positions (N, 3) of the nodes at rest, in the unit and the axes of the file."""
         return self.world[:, :3, 3]
 
 
 def character_in(file: GltfFile) -> Character:
-    """The character in ``file``; refuses (``MeshError``) what has no skinned surface."""
+    """Returns the character in ``file``. Raises ``MeshError`` where no surface has a skin, or where the surface or the
+    skeleton is damaged or too large."""
     nodes, label = file.document.nodes, file.label
     order, parents = tree_of(file)
     place = {node: number for number, node in enumerate(order)}
     world = world_matrices(np.array([node_matrix(nodes[node]) for node in order]).reshape(-1, 4, 4), parents)
     _check_places(world, f"{label}: nodes", order)
     parts, skinned = _surface(file, place, world)
-    vertices, faces, weights = _joined(list(parts.values()), len(order))
+    vertices, faces, weights = _joined(list(parts.values()))
     _check_joints(weights, label)
     if not np.abs(vertices).max() < MOST_UNITS:
         expected = f"vertices within {MOST_UNITS:.0e} units"
@@ -156,8 +159,8 @@ def _surface(file: GltfFile, place: dict[int, int], world: np.ndarray) -> tuple[
 
 
 def listed_primitives(file: GltfFile, nodes: list[int], attributes: set[str]) -> Listed:
-    """Returns the primitives of triangles, of the meshes of ``nodes``, that have all of ``attributes``: of each its
-    node, its place in the mesh, and itself."""
+    """Returns the primitives of triangles in the meshes of ``nodes`` that have positions and all of ``attributes``: of
+    each the index of its node in the file, its index in the mesh, and the primitive."""
     wanted = attributes | {"POSITION"}
     return [
         (node, index, primitive)
@@ -173,7 +176,7 @@ def _bones_above(file: GltfFile, joints: set[int], place: dict[int, int]) -> dic
     """Nodes with a mesh and no skin below a joint -> the place of the nearest joint above, among ``joints``."""
     bones: dict[int, int] = {}
     carried: dict[int, int] = {}
-    for node, number in place.items():  # parents first
+    for node, number in place.items():  # Parents come first.
         if number in joints:
             carried[node] = number
         held = file.document.nodes[node]
@@ -193,7 +196,8 @@ def _on_bone(file: GltfFile, primitive: FilePrimitive, world: np.ndarray, joint:
 
 
 def skin_of(file: GltfFile, index: Any) -> tuple[list[int], np.ndarray]:
-    """The nodes of the joints of skin ``index`` in the file's order, and their inverse bind matrices (J, 4, 4)."""
+    """Returns the joints of skin ``index`` of ``file``, J indices of nodes in the file's order, and their inverse bind
+    matrices (J, 4, 4). Raises ``MeshError`` for an index, joints or matrices that do not fit."""
     skin = file.item("skins", index, "nodes.skin")
     if not 0 < len(skin.joints) <= MOST_JOINTS:
         cure = "Export the deforming bones alone."
@@ -224,7 +228,9 @@ def _primitive(file: GltfFile, primitive: FilePrimitive, rows: np.ndarray, moves
 
 
 def skin_weights(file: GltfFile, primitive: FilePrimitive, count: int, joints: int) -> scipy.sparse.csr_matrix:
-    """The weights (V, J) of a primitive of ``count`` vertices on the ``joints`` of its skin; rows sum to one."""
+    """Returns the skinning weights (V, J), sparse, of a ``primitive`` with V = ``count`` vertices on the J = ``joints``
+    joints of its skin. They are not negative, and rows sum to one. Raises ``MeshError`` for arrays of the file that do
+    not fit."""
     held = primitive.attributes
     sets = [k for k in range(4) if f"JOINTS_{k}" in held and f"WEIGHTS_{k}" in held]
     read = [file.array(held[f"{kind}_{k}"]) for kind in ("JOINTS", "WEIGHTS") for k in sets]
@@ -241,7 +247,8 @@ def skin_weights(file: GltfFile, primitive: FilePrimitive, count: int, joints: i
 
 
 def triangles_of(file: GltfFile, primitive: FilePrimitive) -> tuple[np.ndarray, np.ndarray]:
-    """The points (V, 3) of a primitive as they stand in the file, and its faces (F, 3)."""
+    """Returns the positions (V, 3) of a ``primitive``, in the unit of the file and the frame of its mesh, and its faces
+    (F, 3). Raises ``MeshError`` for arrays of the file that do not fit."""
     points = file.array(primitive.attributes.get("POSITION")).astype(np.float64)
     faces = np.arange(len(points))[:, None] if primitive.indices is None else file.array(primitive.indices)
     faces = faces[: len(faces) - len(faces) % 3].astype(np.int64).reshape(-1, 3)
@@ -255,7 +262,7 @@ def _no_fit(file: GltfFile) -> MeshError:
     return MeshError(f"{file.label}: mesh", expected=expected, got="others", cure=EXPORT)
 
 
-def _joined(parts: list[Part], nodes: int) -> Part:
+def _joined(parts: list[Part]) -> Part:
     """``parts`` as one surface."""
     start = np.cumsum([0, *(len(points) for points, _, _ in parts)])
     faces = [faces + first for (_, faces, _), first in zip(parts, start, strict=False)]

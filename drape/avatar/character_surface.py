@@ -1,7 +1,7 @@
-"""A character's own surface over a clip of its rig, with its materials: what files have that know no skin.
+"""A character's own surface over a clip of its rig, with its materials, for formats of files that know no skinning.
 
 A vertex v of a skinned mesh is at sum_j w_j W_j B_j v, by the world transforms W of its joints and the inverse bind
-matrices B of its skin; what hangs on a bone is at W v.
+matrices B of its skin. What hangs on a bone is at W v.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from drape.avatar.rig_motion import RigMotion
 from drape.export.surface import MeshSurface, MovingGarment
 from drape.files.gltf import GltfFile
 from drape.files.looks import Material
-from drape.files.pictures import with_remade
+from drape.files.pictures import remake_pictures
 from drape.garment.files.gltf_looks import gltf_looks
 from drape.geometry.skinning import skin_points
 from drape.wanted import go_on
@@ -26,8 +26,12 @@ PLAIN = (0.8, 0.8, 0.8, 1.0)
 
 
 def moving_character(payload: bytes, motion: RigMotion, scale: float) -> list[MovingGarment]:
-    """Each primitive of the character in the file ``payload``, in the T-pose and then over ``motion``, whose skeleton
-    is the file's or that of one that it was made from; ``scale``: metres per unit."""
+    """Returns each primitive of the character in the file ``payload`` as a mesh that moves, with its materials: float32
+    vertices (F + 1, V, 3) [m] in the world, in the T-pose and then in the F frames of ``motion``.
+
+    ``motion`` is on the skeleton of this file, or of the file that this one was made from. ``scale``: metres per unit
+    of the file. A primitive none of whose triangles has corners apart is left out.
+    """
     file, garments = GltfFile(payload), list[MovingGarment]()
     place = {node: number for number, node in enumerate(tree_of(file)[0])}
     nodes = file.document.nodes
@@ -35,7 +39,7 @@ def moving_character(payload: bytes, motion: RigMotion, scale: float) -> list[Mo
     for node, index, primitive in listed_primitives(file, drawn, set()):
         go_on()
         points, faces = triangles_of(file, primitive)
-        if (faces == faces[:, :1]).all():  # what was taken out as a whole
+        if (faces == faces[:, :1]).all():  # A primitive that was taken out as a whole has such a triangle left.
             continue
         skin = nodes[node].skin
         if skin is None:
@@ -60,7 +64,7 @@ def _surface(file: GltfFile, node: int, index: int, faces: np.ndarray, count: in
     """The primitive ``index`` of the mesh of ``node``, with its material."""
     held = file.document.nodes[node]
     uv, material = texture_of(file, Primitive(node, "", index, len(faces)))
-    looks, _ = with_remade(gltf_looks(file, [material])[0])
+    looks, _ = remake_pictures(gltf_looks(file, [material])[0])
     corners, uv_faces = np.unique(uv.reshape(-1, 2), axis=0, return_inverse=True)
     name = f"{held.name or 'mesh'}_{index}"
     told = {} if material is None else file.item("materials", material, "primitives.material")

@@ -1,8 +1,8 @@
-"""The body of a character brought out to all that stands out of it, in its T-pose and where joints bend.
+"""A skin brought out to all of a character that stands out of it, in its T-pose and where joints bend.
 
 Garments lie on this skin, so nothing that is seen may stand out of it. In each of ``POSES`` some of the character's
-vertices stand out of the posed skin: those of the same part, or of one that joins it, that face the same way tell by
-how much the skin is short there. In rounds the skin goes out by that, smoothly, along its normal in T-pose.
+vertices stand out of the posed skin. Those of the same part, or of one that joins it, that face the same way say by how
+much the skin is short there. In rounds the skin goes out by that, smoothly, along its normal in T-pose.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from drape.geometry import mesh_graphs, meshes, rigid, skinning
 from drape.geometry.closest import closest_point
 from drape.geometry.rotations import rotvec_to_matrix
 
-ROUNDS, MOST_M, MARGIN_M = 3, 0.03, 0.001  # a round brings the skin out by so much at most, and by a margin more
-FACING = 0.4  # the least cosine between normals of what stands out and of the skin below it
-SMOOTHING, PLAIN = 0.5, 0.05  # stiffness of the way out, and how much skin that is not short resists it
+ROUNDS, MOST_M, MARGIN_M = 3, 0.03, 0.001  # A round brings the skin out by ``MOST_M`` at most, and by a margin more.
+FACING = 0.4  # What stands out counts if the cosine between its normal and the skin's is larger.
+SMOOTHING, PLAIN = 0.5, 0.05  # The stiffness of the way out, and how much skin that is not short resists it.
 REST: dict[str, tuple[float, float, float]] = {}
 ARMS_DOWN = {"left_shoulder": (0, 0, -70), "right_shoulder": (0, 0, 70)}
 SQUAT = {
@@ -40,13 +40,15 @@ POSES = (REST, ARMS_DOWN, SQUAT, STRIDE, REACH)
 
 
 def covering(vertices: np.ndarray, weights: np.ndarray, joints: np.ndarray, pose: TPose, body: BodyModel) -> np.ndarray:
-    """Returns ``vertices`` [m] (Vb, 3) of a skin, brought out to all of the character in ``pose``, in the same frame,
-    that stands out of it. The skin has ``weights`` (Vb, 24) on ``joints`` [m] (24, 3).
+    """Returns the ``vertices`` [m] (Vb, 3) of a skin, moved out along its normals until the character in ``pose``
+    stands out of it no more, in the T-pose and in the other ``POSES``. Heads, hands and feet do not count.
+
+    The skin has the faces of ``body``, and ``weights`` (Vb, 24) on ``joints`` [m] (24, 3), in the frame of ``pose``.
     """
     counted, own, theirs = counted_vertices(pose), parts_of(body.weights), parts_of(pose.weights)
     umbrella = mesh_graphs.umbrella_laplacian(body.faces, len(vertices))
     square = scipy.sparse.csr_matrix(SMOOTHING * (umbrella.T @ umbrella))
-    faces = body.faces[(own != list(PARTS).index("head"))[body.faces].any(axis=1)]  # nothing that counts joins a head
+    faces = body.faces[(own != list(PARTS).index("head"))[body.faces].any(axis=1)]  # No part that counts joins a head.
     turned = [rotvec_to_matrix(rotvecs(one))[None] for one in POSES]
     bones = [rigid.bone_transforms(one, joints[None], PARENTS) for one in turned]
     posed = [skinning.skin_points(pose.vertices[None], pose.weights, *one)[0] for one in bones]
@@ -71,15 +73,15 @@ def covering(vertices: np.ndarray, weights: np.ndarray, joints: np.ndarray, pose
     for _ in range(ROUNDS):
         height = np.max(each(short, range(len(POSES))), axis=0)
         trust = np.where(height > 0.0, 1.0, PLAIN)
-        # Well conditioned, since no skin is free: some forty products, and no factor.
+        # No skin is free, so the system is well conditioned: some forty products solve it without a factor.
         way, _ = cg(scipy.sparse.diags(trust) + square, trust * height, rtol=1e-7)
         vertices = vertices + way[:, None] * meshes.vertex_normals(vertices, body.faces, table=around)
     return vertices
 
 
 def rotvecs(angles_deg: Mapping[str, tuple[float, float, float]]) -> np.ndarray:
-    """Returns the rotation vectors [rad] (24, 3) of a pose whose joints turn by ``angles_deg``, by their names; others
-    do not turn."""
+    """Returns the pose, rotation vectors [rad] (24, 3), whose joints have the rotation vectors ``angles_deg`` [degrees]
+    by their names. The other joints do not turn."""
     found = np.zeros((JOINT_COUNT, 3))
     for name, angles in angles_deg.items():
         found[JOINT_NAMES.index(name)] = np.radians(angles)

@@ -1,8 +1,8 @@
-"""A garment's drape as a few more joints below those of a character's rig, with weights of all, for any player.
+"""A garment's drape as skinning, on a few more joints below those of a character's rig, which any player shows.
 
-Frames that were draped become weights and rigid motions (``drape.avatar.skin_decomposition``). Each joint e hangs
-below the joint j of the rig that it moves with most. In its joint's frame S = (W_j B_j)^-1 T_e it hardly moves, so a
-file's own clips, which know nothing of it, still carry the garment.
+Draped frames become weights and rigid motions (``drape.avatar.skin_decomposition``). Each own joint e hangs below the
+joint j of the rig that it moves with most. Seen from there, S = (W_j B_j)^-1 T_e, it hardly moves. So a file's own
+clips, which do not animate it, still carry the garment.
 """
 
 from __future__ import annotations
@@ -24,21 +24,22 @@ from drape.garment.skin import smoothing_matrix
 from drape.geometry.mesh_graphs import edge_graph
 from drape.wanted import go_on
 
-JOINTS = 32  # a garment, by default
-FRAMES = 300  # that weights are fitted to, at most
-ROUNDS = 8  # of weights and motions
+JOINTS = 32  # Joints of a garment, by default.
+FRAMES = 300  # Weights are fitted to at most so many frames.
+ROUNDS = 8  # Rounds of fitting weights and then motions.
 TRACK_ROUNDS = 6
-NEAR, NEAR_RIG = 6, 3  # joints that a vertex may have: the nearest of its own, the heaviest of the rig
-NEARNESS = 0.02  # of clusters
-SMOOTH_M = 5e-3  # of a weight's error of one, in the fit
-ENOUGH = 2500  # vertices that tracks are fitted to, at least
-STEADINESS = 1e-3  # of tracks
-PIVOT_SHARE = 0.02  # of a joint's distance from its middle, of that by which it moves
+NEAR, NEAR_RIG = 6, 3  # A vertex may have the nearest of the garment's own joints, and its heaviest joints of the rig.
+NEARNESS = 0.02  # ``nearness`` of ``rigid_clusters``.
+SMOOTH_M = 5e-3  # In the fit of weights a difference of one from smooth weights costs as much as this distance.
+ENOUGH = 2500  # Motions are fitted to at least so many vertices, where a garment has them.
+STEADINESS = 1e-3  # ``steadiness`` of ``fit_moves``.
+PIVOT_SHARE = 0.02  # The cost of a pivot's distance from the joint's middle, where its squared displacement costs 1.
 
 
 @dataclass(frozen=True, eq=False)
 class DrapedClip:
-    """A garment at ``vertices`` [m] (F, V, 3) over a clip on a rig."""
+    """A garment that was draped over a clip: its ``vertices`` [m] (F, V, 3) in the world, and the ``motion`` of the rig
+    in these F frames."""
 
     vertices: np.ndarray
     motion: RigMotion
@@ -46,12 +47,14 @@ class DrapedClip:
 
 @dataclass(frozen=True, eq=False)
 class Distilled:
-    """A garment with E joints of its own, in the unit of the character's file.
+    """A garment skinned to n joints of a character's rig and to E joints of its own. Lengths are in the unit of the
+    character's file. A joint's motion in a frame is the affine map (3, 4) of points from the bind pose.
 
-    ``rest`` (V, 3) and ``weights`` (V, n + E) of its mesh in the bind pose, on the rig's ``joints`` (n,), nodes of the
-    skeleton with the inverse bind matrices ``binds`` (n, 3, 4), and on its own. These are at ``pivots`` (E, 3) in the
-    bind pose and hang below the ``parents`` (E,), places among ``joints``. ``still`` (E, 3, 4): where each is in its
-    parent's bind frame while nothing moves it. ``on_rig`` (V, n): the weights of a mesh without joints of its own.
+    ``rest`` (V, 3) are the vertices in the bind pose and ``weights`` (V, n + E) their skinning weights, the rig's
+    joints first. ``joints`` (n,) are the rig's joints as nodes of the skeleton, and ``binds`` (n, 3, 4) their inverse
+    bind matrices. The own joints lie at ``pivots`` (E, 3) in the bind pose; ``parents`` (E,) are their parents as
+    indices of ``joints``, and ``still`` (E, 3, 4) their motions seen from these while nothing moves them. ``on_rig``
+    (V, n) are the skinning weights of the mesh without joints of its own.
     """
 
     rest: np.ndarray
@@ -65,21 +68,23 @@ class Distilled:
 
     @property
     def count(self) -> int:
-        """The number E of its own joints."""
+        """The number E of the garment's own joints."""
         return len(self.parents)
 
     def above(self, motion: RigMotion) -> np.ndarray:
-        """Returns the motions (F, n, 3, 4) of the rig's joints from the bind pose, in the frame of the pelvis."""
-        return _from_pelvis(motion, self.joints, self.binds)
+        """Returns the motions (F, n, 3, 4) of the rig's joints in the F frames of ``motion``, in the frame of the
+        pelvis."""
+        seen = compose(affine_inverse(pelvis_places(motion))[:, None], motion.world[1:, self.joints, :3, :])
+        return compose(seen, self.binds)
 
     def carried(self, motion: RigMotion) -> np.ndarray:
-        """Returns the motions (F, E, 3, 4) of its own joints where they only follow their parents, in the frame of the
+        """Returns the motions (F, E, 3, 4) of the own joints where they only follow their parents, in the frame of the
         pelvis."""
         return compose(self.above(motion)[:, self.parents], self.still)
 
     def fitted(self, draped: DrapedClip, scale: float) -> np.ndarray:
-        """Returns the motions (F, E, 3, 4) of its own joints that bring the mesh nearest to what was ``draped``, in the
-        frame of the pelvis. ``scale``: metres per unit of the file."""
+        """Returns the motions (F, E, 3, 4) of the own joints, in the frame of the pelvis, that bring the mesh nearest
+        to the clip ``draped``. ``scale``: metres per unit of the file."""
         some = slice(None, None, max(1, len(self.rest) // ENOUGH))
         rest, weights, above = self.rest[some], self.weights[some], self.above(draped.motion)
         frames = seen_from_pelvis(DrapedClip(draped.vertices[:, some], draped.motion), scale)
@@ -95,18 +100,22 @@ class Distilled:
         return decomposition.fit_moves(weights, rest, frames, moves, free, **more)[:, own]
 
     def placed(self, motion: RigMotion, moves: np.ndarray) -> np.ndarray:
-        """Returns the vertices (F, V, 3) of the mesh while its own joints are at ``moves`` (F, E, 3, 4), in the frame
-        of the pelvis and the unit of the file."""
-        return decomposition.blended(self.weights, self.rest, np.concatenate([self.above(motion), moves], axis=1))
+        """Returns the vertices (F, V, 3) of the mesh, in the frame of the pelvis and the unit of the file, where its
+        own joints have the motions ``moves`` (F, E, 3, 4) in the frame of the pelvis."""
+        return decomposition.blend_vertices(
+            self.weights, self.rest, np.concatenate([self.above(motion), moves], axis=1)
+        )
 
     def error_m(self, draped: DrapedClip, moves: np.ndarray, scale: float) -> float:
-        """Returns the root mean square distance [m] of the mesh at ``moves`` from the vertices that were ``draped``."""
+        """Returns the root mean square distance [m] between the vertices of ``draped`` and those of the mesh whose own
+        joints have the motions ``moves`` (F, E, 3, 4) in the frame of the pelvis. ``scale``: metres per unit of the
+        file."""
         off = self.placed(draped.motion, moves) - seen_from_pelvis(draped, scale)
         return float(scale * np.sqrt((off**2).sum(axis=-1).mean()))
 
     def local(self, motion: RigMotion, moves: np.ndarray) -> np.ndarray:
-        """Returns the motions (F, E, 3, 4) of its own joints in the bind frames of their parents, while they are at
-        ``moves`` (F, E, 3, 4)."""
+        """Returns the motions (F, E, 3, 4) of the own joints as seen from their parents. ``moves`` (F, E, 3, 4) are
+        their motions in the frame of the pelvis."""
         return compose(affine_inverse(self.above(motion)[:, self.parents]), moves)
 
 
@@ -119,9 +128,10 @@ def distil(
     count: int = JOINTS,
     poses: Sequence[DrapedClip] = (),
 ) -> Distilled:
-    """Returns ``garment`` with ``count`` joints of its own on ``wearer``, fitted to the frames of ``clips``.
+    """Returns ``garment`` skinned to the rig of ``wearer`` and to ``count`` joints of its own, fitted to draped frames.
 
-    The clips say where the joints hang. ``poses`` are frames that count for the weights alone.
+    The joints hang where they move least in the frames of ``clips``. The weights are fitted to ``clips`` and to
+    ``poses`` together. ``rig`` is that of the wearer's file.
     """
     hung = _on_rig(garment, clips[0].motion, wearer, rig)
     rest, rig_weights = hung.rest, hung.weights
@@ -150,7 +160,8 @@ def _on_rig(garment: Garment, motion: RigMotion, wearer: Wearer, rig: FileRig) -
     at = garment.drawn_at_rest() / wearer.scale
     bones, kept = heaviest(weights, np.zeros(len(at), dtype=bool))
     used = np.unique(bones[kept > 0.0])
-    unit = np.cbrt(np.abs(np.linalg.det(motion.blends[0, used, :3, :3]))).mean()  # of the world, per one of the skin's
+    # One unit of the skin is so many of the world.
+    unit = np.cbrt(np.abs(np.linalg.det(motion.blends[0, used, :3, :3]))).mean()
     joints, binds = skeleton.joints[used], skeleton.binds[used, :3, :] / [unit, unit, unit, 1.0]
     dense = np.zeros((len(bones), len(used)))
     np.add.at(dense, (np.arange(len(bones))[:, None], np.searchsorted(used, bones) % len(used)), kept)
@@ -165,38 +176,29 @@ def _chosen_frames(
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Some frames (F, V, 3) of all ``clips``, evenly, and motions (F, n, 3, 4) of the rig, seen from the pelvis; how
     many of them are of the ``first`` clips."""
-    step = max(1.0, sum(len(one.vertices) for one in clips) / FRAMES)
+    step = max(1.0, sum(len(clip.vertices) for clip in clips) / FRAMES)
     frames, above = [], []
-    for one in clips:
-        rows = np.arange(0.0, len(one.vertices), step).astype(int)
-        part = DrapedClip(one.vertices[rows], one.motion.part(rows))
+    for clip in clips:
+        rows = np.arange(0.0, len(clip.vertices), step).astype(int)
+        part = DrapedClip(clip.vertices[rows], clip.motion.part(rows))
         frames.append(seen_from_pelvis(part, scale))
         above.append(hung.above(part.motion))
     return np.concatenate(frames), np.concatenate(above), sum(map(len, frames[:first]))
 
 
 def seen_from_pelvis(draped: DrapedClip, scale: float) -> np.ndarray:
-    """The vertices (F, V, 3) of ``draped`` in the frame of the pelvis's node, in the unit of the file."""
+    """Returns the vertices (F, V, 3) of ``draped`` in the frame of the pelvis's node, in the unit of the file.
+    ``scale``: metres per unit."""
     at = pelvis_places(draped.motion)
     return (draped.vertices / scale - at[:, None, :, 3]) @ at[:, :, :3]
 
 
-def to_world(motion: RigMotion, seen: np.ndarray, scale: float) -> np.ndarray:
-    """The inverse of ``seen_from_pelvis``: points (F, V, 3) in the world [m]."""
-    at = pelvis_places(motion)
-    return scale * (seen @ at[:, :, :3].swapaxes(-1, -2) + at[:, None, :, 3])
-
-
 def pelvis_places(motion: RigMotion) -> np.ndarray:
-    """Place and rotation (F, 3, 4) of the pelvis's node, without its scale."""
+    """Returns the transforms (F, 3, 4) of the pelvis's node to the world in the F frames of ``motion``, without its
+    scale: rotations, and translations in the unit of the file."""
     at = motion.world[1:, motion.pelvis, :3, :].copy()
     at[:, :, :3] /= np.linalg.norm(at[:, :, :3], axis=1, keepdims=True)
     return at
-
-
-def _from_pelvis(motion: RigMotion, joints: np.ndarray, binds: np.ndarray) -> np.ndarray:
-    """The motions (F, n, 3, 4) of ``joints`` from the bind pose, seen from the pelvis."""
-    return compose(compose(affine_inverse(pelvis_places(motion))[:, None], motion.world[1:, joints, :3, :]), binds)
 
 
 def _candidates(rest: np.ndarray, faces: np.ndarray, cluster: np.ndarray, rig_weights: np.ndarray) -> np.ndarray:

@@ -7,22 +7,23 @@ import numpy as np
 from drape.avatar.character import Primitive
 from drape.errors import MeshError
 from drape.files.gltf import GltfFile
-from drape.files.looks import kept_pictures
-from drape.files.pictures import remade
+from drape.files.looks import replace_pictures
+from drape.files.pictures import remake_picture
 from drape.garment.files.gltf_looks import gltf_looks
 from drape.garment.portrait import CLOTH, Sitter, paint_of
 
-SIDE_PX = 256  # of pictures, of which a mean is asked
-SHARES = np.array([[1 / 3, 1 / 3, 1 / 3], [0.6, 0.2, 0.2], [0.2, 0.6, 0.2], [0.2, 0.2, 0.6]])  # places in a triangle
+SIDE_PX = 256  # Pictures are made so small, since only a mean is taken.
+# Barycentric coordinates of the points whose colours are averaged.
+SHARES = np.array([[1 / 3, 1 / 3, 1 / 3], [0.6, 0.2, 0.2], [0.2, 0.6, 0.2], [0.2, 0.2, 0.6]])
 
 
 def face_colours(file: GltfFile, primitives: tuple[Primitive, ...]) -> np.ndarray:
-    """The mean colours (T, 3), sRGB in [0, 1], of the triangles of ``primitives`` one after the other; a material that
-    says nothing, and what is cut out of a picture, is light grey."""
+    """Returns the mean colours (T, 3), sRGB in [0, 1], of the T triangles of ``primitives`` of ``file``, one primitive
+    after the other. A triangle whose material has no look is light grey."""
     held = [texture_of(file, primitive) for primitive in primitives]
     used = sorted({material for _, material in held if material is not None})
     looks, _ = gltf_looks(file, list(used))
-    looks = kept_pictures(looks, [_small(picture) for picture in looks.pictures])
+    looks = replace_pictures(looks, [_small(picture) for picture in looks.pictures])
     uv_faces = [uv for uv, _ in held]
     corners = np.concatenate(uv_faces).reshape(-1, 2)
     material = [used.index(one) if one is not None else len(used) for _, one in held]
@@ -39,7 +40,9 @@ def face_colours(file: GltfFile, primitives: tuple[Primitive, ...]) -> np.ndarra
 
 
 def texture_of(file: GltfFile, primitive: Primitive) -> tuple[np.ndarray, int | None]:
-    """The texture coordinates (F, 3, 2) of a primitive's triangles, zero where it has none, and its material."""
+    """Returns the texture coordinates (F, 3, 2) of the corners of a primitive's triangles, with the origin at the upper
+    left, and the index of its material, None where it has none. The coordinates are zero where the file has none that
+    fit."""
     mesh = file.item("meshes", file.document.nodes[primitive.node].mesh)
     part = mesh.primitives[primitive.primitive]
     count = primitive.triangles
@@ -55,6 +58,6 @@ def texture_of(file: GltfFile, primitive: Primitive) -> tuple[np.ndarray, int | 
 def _small(picture: bytes) -> bytes | None:
     """``picture`` made small, None where it cannot be read."""
     try:
-        return remade(picture, label="picture", side=SIDE_PX)
+        return remake_picture(picture, label="picture", side=SIDE_PX)
     except MeshError:
         return None

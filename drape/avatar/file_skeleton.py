@@ -22,19 +22,22 @@ from drape.files.gltf_json import Node
 from drape.files.gltf_nodes import node_matrix, tree_of
 from drape.files.packed import UNREADABLE, read_packed
 from drape.geometry.rotations import matrix_to_quaternion
+from drape.motion.joint_names import ancestors
 from drape.motion.node_clip import nearest_rotations, world_transforms
 
-PART = "file"  # of a wearer's file: what begins the names of these arrays
+PART = "file"  # In a wearer's file the names of these arrays begin with it.
 
 
 @dataclass(frozen=True, eq=False)
 class FileSkeleton:
-    """N nodes of a file.
+    """The N nodes of a character's file, parents before children. Lengths are in the unit of the file.
 
-    ``written`` are their name and transform as glTF has them, without matrices; ``parents`` (-1: none) and ``children``
-    their places among each other. ``moves`` (N, 3), ``turns`` (N, 4), unit quaternions wxyz, and ``scales`` (N, 3) make
-    their local transforms. ``joints`` (J,) and ``binds`` (J, 4, 4) are the joints of its largest skin in its order and
-    their inverse bind matrices, then the joints of its other skins, bound as these. ``tops``: the nodes of its scene.
+    ``written`` has the name and the transform of each node as fields of glTF. ``parents`` (-1: none) and ``children``
+    are indices of nodes, and ``tops`` are the nodes at the top of the scene. ``children`` and ``tops`` leave out
+    meshes, cameras and what else carries no joint. ``moves`` (N, 3), ``turns`` (N, 4), unit quaternions wxyz, and
+    ``scales`` (N, 3) are the local transforms. ``joints`` (J,) are the joints of the largest skin in its order, then
+    those of other skins. ``binds`` (J, 4, 4) are their inverse bind matrices, all for the pose in which the largest
+    skin was bound.
     """
 
     written: tuple[dict[str, Any], ...]
@@ -48,16 +51,17 @@ class FileSkeleton:
     binds: np.ndarray
 
     def world(self, moves: np.ndarray, turns: np.ndarray) -> np.ndarray:
-        """World transforms (F, N, 4, 4) of nodes with local ``moves`` (F, N, 3) and ``turns`` (F, N, 4), wxyz."""
+        """Returns the world transforms (F, N, 4, 4), in the unit of the file, of nodes with the local translations
+        ``moves`` (F, N, 3) and rotations ``turns`` (F, N, 4), quaternions wxyz. The scales are the file's."""
         return world_transforms(moves, turns, self.scales, self.parents)
 
 
 @dataclass(frozen=True, eq=False)
 class FileRig:
-    """What is kept of a character's file to write others on its rig.
+    """What is kept of a character's file, so that garments can be written on its rig.
 
-    ``weights`` (V, J) are those of its welded surface on the joints of its ``skeleton``. ``primitives`` have the file's
-    triangles, and ``triangle`` (F,) says which of these each face is, as in ``Character``.
+    ``weights`` (V, J), sparse, are those of the character's surface on the joints of ``skeleton``. ``primitives`` have
+    the file's triangles, and ``triangle`` (F,) is the index of each face among these, as in ``Character``.
     """
 
     skeleton: FileSkeleton
@@ -66,7 +70,7 @@ class FileRig:
     triangle: np.ndarray
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays for ``packed``, from which ``load_file_rig`` makes it again."""
+        """Returns the rig as arrays for ``pack``, which ``load_file_rig`` reads; all names begin with ``file.``."""
         held = vars(self.skeleton)
         text = {key: value for key, value in held.items() if not isinstance(value, np.ndarray)}
         header = np.frombuffer(json.dumps(text | {"primitives": self.primitives}).encode(), dtype=np.uint8)
@@ -77,7 +81,8 @@ class FileRig:
 
 
 def load_file_rig(path: Path) -> FileRig:
-    """The rig in the file of a wearer; refuses (``BodyError``) one that has none, or is damaged."""
+    """Returns the rig in the stored file of a wearer at ``path``. Raises ``BodyError`` where it has none, or is
+    damaged."""
     try:
         text, arrays = read_packed(path, part=PART)
         weights, column, row, triangle = (arrays.pop(key) for key in ("weight", "column", "row", "triangle"))
@@ -91,7 +96,7 @@ def load_file_rig(path: Path) -> FileRig:
 
 
 def file_rig(file: GltfFile, character: Character) -> FileRig:
-    """The rig of the ``character`` that was read from ``file``."""
+    """Returns the rig of ``file``, whose ``character`` was read before."""
     assert character.triangle is not None
     skeleton = file_skeleton(file)
     weights = scipy.sparse.csr_matrix(character.weights[:, skeleton.joints])
@@ -99,7 +104,7 @@ def file_rig(file: GltfFile, character: Character) -> FileRig:
 
 
 def file_skeleton(file: GltfFile) -> FileSkeleton:
-    """The skeleton in a ``file`` from which a character was read."""
+    """Returns the skeleton of ``file``, which must have a skin."""
     nodes, document = file.document.nodes, file.document
     order, parents = tree_of(file)
     place = {node: number for number, node in enumerate(order)}
@@ -117,11 +122,11 @@ def file_skeleton(file: GltfFile) -> FileSkeleton:
         file.item("nodes", node, "scenes.nodes")
     tops = list(dict.fromkeys(place[node] for node in listed if parents[place[node]] < 0))
     tops += [number for number, parent in enumerate(parents) if parent < 0 and number not in tops]
-    moves, turns, scales = (np.array(one) for one in zip(*parts, strict=True))
+    moves, turns, scales = map(np.array, zip(*parts, strict=True))
     skeleton = FileSkeleton(
         tuple(_written(node, *own) for node, own in zip(held, parts, strict=True)),
         parents,
-        tuple(tuple(one) for one in children),
+        tuple(map(tuple, children)),
         tuple(top for top in tops if top in kept),
         moves,
         turns,
@@ -164,22 +169,14 @@ def _all_binds(skeleton: FileSkeleton) -> np.ndarray:
     known = {int(joint): row for row, joint in enumerate(skeleton.joints[:count])}
     more = []
     for joint in skeleton.joints[count:]:
-        above = skeleton.parents[joint]
-        while above >= 0 and above not in known:
-            above = skeleton.parents[above]
-        row = known.get(above, 0)
+        row = next((known[node] for node in ancestors(skeleton.parents, joint) if node in known), 0)
         more.append(np.linalg.inv(rest[joint]) @ rest[skeleton.joints[row]] @ skeleton.binds[row])
     return np.concatenate([skeleton.binds, *(one[None] for one in more)])
 
 
 def _kept(nodes: list[Node], parents: tuple[int, ...], joints: set[int]) -> set[int]:
     """Places of the nodes that are joints or hold some, and of plain nodes below these."""
-    kept = set(joints)
-    for joint in joints:
-        above = parents[joint]
-        while above >= 0 and above not in kept:
-            kept.add(above)
-            above = parents[above]
+    kept = {node for joint in joints for node in ancestors(parents, joint)}
     for number, node in enumerate(nodes):
         if parents[number] in kept and node.mesh is None and node.camera is None:
             kept.add(number)

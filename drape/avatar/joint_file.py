@@ -27,7 +27,8 @@ WEIGHT_STEPS = 65535
 
 @dataclass(frozen=True, eq=False)
 class Jointed:
-    """A garment with joints of its own, as the files draw its ``surface`` in its ``colour``."""
+    """A garment with joints of its own for a file: its mesh ``surface``, its skinning ``distilled``, and its
+    ``colour``, linear red, green, blue and opacity."""
 
     surface: Surface
     distilled: Distilled
@@ -42,10 +43,10 @@ def add_clip(
     nodes: dict[int, int],
     scale: float,
 ) -> None:
-    """Adds garments to ``file``, which has the skeleton's node n as its node ``nodes[n]``, and tracks of all joints
-    over ``motion``.
+    """Adds the garments ``layers`` to ``file``, and an animation of the rig's joints and of their own over ``motion``.
 
-    ``draped`` [m] (F, V, 3) are the garments' frames; ``scale``: metres per unit of the file.
+    ``draped`` are the vertices [m] (F, V, 3) of each garment in the world, to which its joints are fitted. The
+    skeleton's node n is the node ``nodes[n]`` of ``file``. ``scale``: metres per unit of the file.
     """
     channels: list[Channel] = []
     for layer, vertices in zip(layers, draped, strict=True):
@@ -59,8 +60,9 @@ def add_clip(
 
 
 def add_jointed(file: GlbFile, layer: Jointed, nodes: dict[int, int]) -> list[int]:
-    """Adds mesh and skin of ``layer`` to ``file``, and nodes for its own joints. Returns these nodes, which hang where
-    nothing moves the joints."""
+    """Adds mesh and skin of ``layer`` to ``file``, and nodes for its own joints below those of the rig. Returns the
+    indices of these nodes, which stand where nothing moves the joints. The skeleton's node n is the node ``nodes[n]``
+    of ``file``."""
     distilled, surface = layer.distilled, layer.surface
     turns, places = node_motions(distilled, distilled.still[None])
     scales = 1.0 / _scales(distilled)
@@ -80,10 +82,11 @@ def add_jointed(file: GlbFile, layer: Jointed, nodes: dict[int, int]) -> list[in
     return own
 
 
-def node_motions(distilled: Distilled, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Local quaternions wxyz (F, E, 4) and translations (F, E, 3) of the nodes of joints whose motions are ``seen``
-    (F, E, 3, 4) from their parents."""
-    at = compose(compose(distilled.binds[distilled.parents], seen), _at(distilled.pivots))
+def node_motions(distilled: Distilled, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the local rotations (F, E, 4), quaternions wxyz, and translations (F, E, 3), in the unit of the file, of
+    the nodes of a garment's own joints. ``moves`` (F, E, 3, 4) are the joints' motions seen from their parents
+    (``Distilled.local``)."""
+    at = compose(compose(distilled.binds[distilled.parents], moves), _at(distilled.pivots))
     # Parents of a character may shear a little, or be mirrored.
     return matrix_to_quaternion(nearest_rotations(at[..., :3])), at[..., 3]
 
@@ -104,7 +107,7 @@ def _add_skin(file: GlbFile, distilled: Distilled, nodes: dict[int, int], own: S
     columns[:, :3] = np.concatenate([distilled.binds, _at(-distilled.pivots)])
     columns[:, 3] = [0.0, 0.0, 0.0, 1.0]
     joints = [*(nodes[int(joint)] for joint in distilled.joints), *own]
-    binds = file.array(np.swapaxes(columns, -1, -2).astype(np.float32))  # as stored: column by column
+    binds = file.array(np.swapaxes(columns, -1, -2).astype(np.float32))  # glTF stores matrices column by column.
     return file.add("skins", {"joints": joints, "inverseBindMatrices": binds})
 
 

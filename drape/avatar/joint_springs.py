@@ -1,9 +1,10 @@
-"""Joints of a garment as spring bones of VRM, for motion that nobody draped: their numbers, fitted to frames.
+"""A garment's own joints as spring bones of VRM, for motion that nobody draped: their constants, fitted to draped
+frames.
 
-Each joint turns about its pivot; its tail is where the middle of its cloth is, or beyond. The numbers of a spring are
-those of many with which the cloth that it moves, by the law of ``drape.motion.spring_bones``, comes nearest to where it
-is draped and sinks least into the legs, which are capsules. A joint is a spring only where that is better than what
-the rig alone makes of its cloth, which follows the legs, and in no clip much worse; else the rig has its weights.
+Each joint turns about its pivot; its tail lies in the middle of its cloth or beyond. Of many constants those are taken
+with which the cloth, moved by the law of ``drape.motion.spring_bones``, comes nearest to the draped one and sinks least
+into the legs, which are capsules. A joint is a spring only where that is better than its cloth moved by the rig alone,
+and in no clip much worse. Otherwise the rig gets its weights.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from drape.avatar.affine_maps import affine_inverse, compose
 from drape.avatar.distilled import Distilled, DrapedClip, pelvis_places
 from drape.avatar.rig_motion import RigMotion
 from drape.avatar.rig_weights import HEAVIEST
-from drape.avatar.skin_decomposition import blended, farthest_points
+from drape.avatar.skin_decomposition import blend_vertices, farthest_points
 from drape.avatar.wearer import Wearer
 from drape.body.skeleton import JOINT_NAMES
 from drape.motion.spring_bones import Capsules, Springs, nearest_off, shortest_turns, tails
@@ -26,12 +27,12 @@ from drape.motion.spring_bones import Capsules, Springs, nearest_off, shortest_t
 STIFFNESS = (0.05, 0.2, 0.8, 4.0)
 GRAVITY = (0.0, 0.2, 0.8)
 DRAG = (0.1, 0.4, 1.0)
-BETTER, WORST = 0.97, 1.4  # of the error of a joint's cloth on the rig, over all clips and in one
-SHORTEST_M = 0.05  # of a spring
-WIDEST_M = 0.03  # of a tail's own radius
-POINTS = 6  # of the cloth of a joint, that may not sink into limbs
-SINKING = 100.0  # what the square of a depth in them costs, of the square of the way that such a point is off
-LOOKED_AT = slice(None, None, 5)  # frames whose cloth counts
+BETTER, WORST = 0.97, 1.4  # A spring's error may be so large a share of the rig's, over all clips and in each.
+SHORTEST_M = 0.05  # A spring is at least so long.
+WIDEST_M = 0.03  # A tail's own radius is at most this.
+POINTS = 6  # So many points of a joint's cloth should not sink into limbs.
+SINKING = 100.0  # The cost of a squared depth in a limb, where the squared distance from the draped point costs 1.
+LOOKED_AT = slice(None, None, 5)  # The cloth of every fifth frame counts.
 LIMBS = tuple(
     (f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"))
 )
@@ -39,7 +40,8 @@ LIMBS = tuple(
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """A capsule on ``node`` of the skeleton, from ``start`` (3,) to ``end`` (3,) in the node's frame."""
+    """A capsule that moves with ``node`` of the skeleton. Its axis goes from ``start`` (3,) to ``end`` (3,) in the
+    node's frame; these and ``radius`` are in the unit of the file."""
 
     node: int
     start: np.ndarray
@@ -49,10 +51,11 @@ class Limb:
 
 @dataclass(frozen=True, eq=False)
 class JointSprings:
-    """The E joints of a ``distilled`` garment as springs: ``numbers`` of each, and ``tails`` (E, 3) in the bind pose.
+    """The E own joints of a ``distilled`` garment as springs: the constants ``numbers`` of the springs, and their
+    ``tails`` (E, 3) in the bind pose.
 
-    ``limbs`` are C capsules, and ``felt`` (E, C) says which of them each spring feels. Lengths are in the unit of the
-    file.
+    ``limbs`` are C capsules, and ``felt`` (E, C) bool says which of them each spring feels. Lengths are in the unit of
+    the file.
     """
 
     distilled: Distilled
@@ -62,8 +65,9 @@ class JointSprings:
     felt: np.ndarray
 
     def moves(self, motion: RigMotion) -> np.ndarray:
-        """Returns where F frames of ``motion`` take the E joints when they swing as in a VRM player, from their
-        places at rest, in the frame of the pelvis: matrices (F, E, 3, 4), translations in the last column."""
+        """Returns the motions (F, E, 3, 4) of the E joints while they swing as in a VRM player, at rest in the first of
+        the F frames of ``motion``: maps of points from the bind pose to the frame of the pelvis, in the unit of the
+        file."""
         at, heads, rest = _carried(self.distilled, self.tails, motion)
         found = tails(self.numbers, heads, rest, motion.fps, _capsules(self.limbs, self.felt, motion))
         swung = _swung(at, heads, shortest_turns(heads, rest, found))
@@ -76,17 +80,18 @@ def _swung(at: np.ndarray, heads: np.ndarray, turns: np.ndarray) -> np.ndarray:
 
 
 def fit_springs(distilled: Distilled, clips: Sequence[DrapedClip], wearer: Wearer) -> JointSprings:
-    """Returns the springs of ``distilled`` whose cloth comes nearest to ``clips`` and sinks least into the legs. A clip
-    is run from its first to its last frame."""
+    """Returns springs for those own joints of ``distilled`` whose cloth comes nearer to ``clips`` on springs than on
+    the rig alone; the rig moves the cloth of the others. Their constants bring the cloth nearest to ``clips`` and let
+    it sink least into the legs of ``wearer``. A clip is run from its first to its last frame."""
     unit, skeleton = wearer.scale, clips[0].motion
     ends, limbs = _tails(distilled, unit), leg_capsules(wearer, skeleton)
     _, _, rest = _carried(distilled, ends, skeleton, rows=slice(0, 1))
     hips = min(_limb_line(limb, skeleton.world[0, limb.node])[0][1] for limb in limbs[::2])
     felt = np.repeat(rest[0, :, 1:2] < hips, len(limbs), axis=1)
-    seen = [_looked_at(one) for one in clips]
-    tracks = [compose(pelvis_places(one.motion)[:, None], distilled.fitted(one, unit)) for one in seen]
-    room = _room([_moved(one, ends) for one in tracks], limbs, seen)
-    felt &= room[:, None] > 0.0  # cloth that lies on a limb goes with it
+    seen = list(map(_looked_at, clips))
+    tracks = [compose(pelvis_places(few.motion)[:, None], distilled.fitted(few, unit)) for few in seen]
+    room = _room([_moved(track, ends) for track in tracks], limbs, seen)
+    felt &= room[:, None] > 0.0  # Cloth that lies on a limb goes with it, and feels none.
     radius = np.where(felt.any(axis=1), np.clip(room, 0.0, WIDEST_M / unit), 0.0)
     stiffness, gravity, drag = np.array(list(itertools.product(STIFFNESS, GRAVITY, DRAG))).T[..., None]
     costs, on_rig = np.zeros((len(clips), len(drag), distilled.count)), np.zeros((len(clips), distilled.count))
@@ -95,7 +100,7 @@ def fit_springs(distilled: Distilled, clips: Sequence[DrapedClip], wearer: Weare
         capsules = _capsules(limbs, felt, clip.motion)
         cloth = _Cloth.of(distilled, few, track, _capsules(limbs, felt, few.motion), unit)
         found = tails(Springs(stiffness, gravity, drag, radius), heads, still, clip.motion.fps, capsules)
-        head, stiff, swung = (one[LOOKED_AT] for one in (heads[:, None], still[:, None], found))
+        head, stiff, swung = (rows[LOOKED_AT] for rows in (heads[:, None], still[:, None], found))
         costs[number] = cloth.cost(_swung(at[LOOKED_AT, None], head, shortest_turns(head, stiff, swung)))
         on_rig[number] = cloth.cost_on_rig()
     best = costs.sum(axis=0).argmin(axis=0)
@@ -147,7 +152,7 @@ class _Cloth:
         rest, shares = distilled.rest[rows], np.take_along_axis(own, rows, axis=1)
         draped = clip.vertices[:, rows] / unit
         rig = compose(clip.motion.world[1:, distilled.joints, :3, :], distilled.binds)
-        on_rig = blended(distilled.on_rig[rows.reshape(-1)], rest.reshape(-1, 3), rig).reshape(draped.shape)
+        on_rig = blend_vertices(distilled.on_rig[rows.reshape(-1)], rest.reshape(-1, 3), rig).reshape(draped.shape)
         others = draped - shares[..., None] * _placed(track, rest)
         return cls(rest, draped, shares, others, on_rig, legs)
 
@@ -161,13 +166,13 @@ class _Cloth:
 
     def _off(self, own: np.ndarray) -> np.ndarray:
         at, draped = self.others[:, None] + self.shares[..., None] * own, self.draped[:, None]
-        deep = sunk(at, draped, self.legs)
+        deep = sink_depths(at, draped, self.legs)
         return (((at - draped) ** 2).sum(axis=-1) + SINKING * deep**2).mean(axis=-1).sum(axis=0)
 
 
-def sunk(at: np.ndarray, draped: np.ndarray, limbs: Capsules) -> np.ndarray:
-    """How much deeper (F, ..., E, K) in one of ``limbs`` points are ``at`` (F, ..., E, K, 3) than where they are
-    ``draped``."""
+def sink_depths(at: np.ndarray, draped: np.ndarray, limbs: Capsules) -> np.ndarray:
+    """Returns how much deeper (F, ..., E, K) points ``at`` (F, ..., E, K, 3) lie in one of ``limbs`` than the points
+    ``draped`` (F, ..., E, K, 3), in their unit: the most of all limbs, 0 where they lie no deeper."""
     most = np.zeros(at.shape[:-1])
     for one, radius in enumerate(limbs.radii):
         start, end = (ends[:, one].reshape(-1, *(1,) * (at.ndim - 2), 3) for ends in (limbs.starts, limbs.ends))
@@ -177,16 +182,17 @@ def sunk(at: np.ndarray, draped: np.ndarray, limbs: Capsules) -> np.ndarray:
 
 
 def leg_capsules(wearer: Wearer, motion: RigMotion) -> tuple[Limb, ...]:
-    """Thighs and shanks of ``wearer``, as wide as half of the skin of its bare body there."""
+    """Returns capsules of the thighs and shins of ``wearer``, the left leg's first. The radius is the median distance
+    of the bare body's skin from the bone. Frame 0 of ``motion`` is the T-pose in which they are measured."""
     joints, capsules = wearer.body.joints_template, []
     strongest = wearer.body.weights.argmax(axis=1)
     for top, end in LIMBS:
-        a, b = (joints[JOINT_NAMES.index(one)] for one in (top, end))
+        a, b = joints[[JOINT_NAMES.index(top), JOINT_NAMES.index(end)]]
         skin = wearer.body.v_template[strongest == JOINT_NAMES.index(top)]
         radius = float(np.median(nearest_off(skin, a, b)[1])) if len(skin) else 0.05
         node = wearer.rig.sources[top]
         local = np.linalg.inv(motion.world[0, node])
-        start, stop = (local[:3, :3] @ (one / wearer.scale) + local[:3, 3] for one in (a, b))
+        start, stop = (local[:3, :3] @ (joint / wearer.scale) + local[:3, 3] for joint in (a, b))
         capsules.append(Limb(node, start, stop, radius / wearer.scale))
     return tuple(capsules)
 

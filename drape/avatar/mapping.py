@@ -1,4 +1,5 @@
-"""Which nodes of a character are which joints: by VRM's bones, by names, or by places where nobody knows its names."""
+"""Which nodes of a character are which joints: by VRM's bones, by names, or by positions where the names are
+unknown."""
 
 from __future__ import annotations
 
@@ -22,11 +23,12 @@ SWAPPED = "left and right look swapped: by these joints the feet point backwards
 
 
 @dataclass(frozen=True, eq=False)
-class Mapped:
+class JointMapping:
     """The ``rig`` of a character, and how its joints were found.
 
-    ``by``: "vrm", "names", "shape", or "told" by a client. ``confidence`` in [0, 1]: how much the places are like a
-    person's, if they were found by shape; otherwise 1. ``notes``: sentences on what looks wrong.
+    ``by`` is "vrm", "names", "shape" (by positions), or "told" by a client. ``confidence`` in [0, 1] says how much the
+    positions are like a person's, if they were what counted; otherwise it is 1. ``notes`` are sentences on what looks
+    wrong.
     """
 
     rig: Rig
@@ -35,20 +37,21 @@ class Mapped:
     notes: tuple[str, ...] = ()
 
 
-def mapped(
-    character: Character, body: BodyModel, *, told: Mapping[str, str] | None = None, label: str = "avatar"
-) -> Mapped:
-    """The rig of ``character`` for poses of ``body``: its joints by VRM's bones where the file has them, else by names,
-    else by their places.
+def map_joints(
+    character: Character, body: BodyModel, *, joints: Mapping[str, str] | None = None, label: str = "avatar"
+) -> JointMapping:
+    """Returns the rig of ``character`` for poses of ``body``. Its joints are found by VRM's bones where the file has
+    them, else by names, else by their positions.
 
-    ``told``: SMPL's names of joints and the names of the nodes that are these, where they are found wrong. Raises
-    ``MotionError`` where the nodes are no person's, ``NotFound`` for a name that is not there.
+    ``joints`` are names of nodes by SMPL's names of joints, which a client sets where they are found wrong. ``label``
+    names the character in refusals. Raises ``MotionError`` where the nodes are no person's, ``NotFound`` for a name in
+    ``joints`` that does not exist.
     """
     names = list(character.names)
     if character.humanoid:
         bones = {place: bone for bone, place in character.humanoid.items()}
         names = [bones.get(place, f"node {place}") for place in range(len(names))]
-    sources, by, confidence = _places(character, told or {}, label), TOLD, 1.0
+    sources, by, confidence = _places(character, joints or {}, label), TOLD, 1.0
     if not is_whole(sources):
         try:
             matched, by = match_joints(names, character.parents, label=label), VRM if character.humanoid else NAMES
@@ -63,8 +66,8 @@ def mapped(
             local[node] = turns[parent].T @ turns[node]
             moves[node] = turns[parent].T @ (character.places[node] - character.places[parent])
     quaternions = matrix_to_quaternion(local)
-    rig = Rig(names, character.parents, quaternions, moves, body.joints_template, label, told=sources)
-    return Mapped(rig, by, confidence, (SWAPPED,) if _feet_point_back(rig, character) else ())
+    rig = Rig(names, character.parents, quaternions, moves, body.joints_template, label, sources)
+    return JointMapping(rig, by, confidence, (SWAPPED,) if _feet_point_back(rig, character) else ())
 
 
 def _feet_point_back(rig: Rig, character: Character) -> bool:
@@ -79,13 +82,13 @@ def _feet_point_back(rig: Rig, character: Character) -> bool:
     return True
 
 
-def _places(character: Character, told: Mapping[str, str], label: str) -> dict[str, int]:
-    """Places of the nodes that were ``told`` by name."""
-    for joint, name in told.items():
+def _places(character: Character, joints: Mapping[str, str], label: str) -> dict[str, int]:
+    """Indices of the nodes whose names ``joints`` has, by SMPL's names of joints."""
+    for joint, name in joints.items():
         if joint not in JOINT_NAMES:
             known, cure = ", ".join(JOINT_NAMES), did_you_mean(joint, JOINT_NAMES, "Correct the name.")
             raise NotFound(f"{label}: joint", expected=f"one of {known}", got=joint[:40], cure=cure)
         if name not in character.names:
             near, cure = ", ".join(character.names[:40]), did_you_mean(name, character.names, "Correct the name.")
             raise NotFound(f"{label}: {joint}", expected=f"a node: {near}", got=name[:60], cure=cure)
-    return {joint: character.names.index(name) for joint, name in told.items()}
+    return {joint: character.names.index(name) for joint, name in joints.items()}

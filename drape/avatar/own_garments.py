@@ -1,8 +1,8 @@
-"""The clothes that a character came in as garments that drape on it: its own cloth, alive.
+"""The clothes that a character came in as garments that drape on it.
 
-All that it wears of one kind is one garment, taken in as any mesh file (``drape.garment.intake``) on the body that
-lies below it; so nobody is looked for in it. What is no cloth stays on the skin, and says why: what is painted on the
-skin or sewn to it, a few faces, what one bone moves as armour, and whatever an intake refuses.
+All that it wears of one kind is one garment, taken in as any mesh file (``drape.garment.intake``) on the body that lies
+below it, so that no wearer is sought. Other clothes stay on the skin, and a sentence says why: they are painted on the
+skin or sewn to it, have few faces, are moved by one bone as armour is, or an intake refuses them.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from drape.avatar.own_clothes import (
     doubled_ends,
     halves_of,
     joined_halves,
+    removed_faces,
     sewn_to_ends,
-    taken_off,
-    tucked,
+    tucked_faces,
 )  # fmt: skip
 from drape.avatar.tucked import TuckedTop, tucked_top
 from drape.avatar.wearer import Wearer
@@ -44,21 +44,22 @@ from drape.garment.sheets import pieces_of
 from drape.geometry.closest import signed_distance
 from drape.geometry.mesh_graphs import connected_components
 
-VERSION = 3  # raised when a change here changes the garments that come out
-KINDS = ("trousers", "skirt", "top", "dress", "outer")  # the innermost first
+VERSION = 3  # It is raised when a change here changes the garments that come out.
+KINDS = ("trousers", "skirt", "top", "dress", "outer")  # The innermost come first.
 LEAST_FACES = 40
-PAINTED_SHARE = 0.5  # of a part's faces that are the skin's own mesh
-BURIED_M, INSIDE_M = 0.03, 0.005  # where a piece of cloth that is inside of the body is so deep, nobody sees it
-PIECE_SHARE = 0.3  # of the area of a kind's largest piece
-SEEN_SHARE = 0.4  # of a kind's faces that are not buried, at least
-STIFF = 0.99  # of a vertex's weights at the bone that moves all of a part
-OWN = "own"  # in a garment's manifest: its kind and the parts that it was
-MARK = "~"  # between a character and the kind, in the name of a garment
+PAINTED_SHARE = 0.5  # A part is painted on if a larger share of its faces is the skin's own mesh.
+# A piece of cloth that lies inside the body, deeper than the second, is not seen if it goes deeper than the first.
+BURIED_M, INSIDE_M = 0.03, 0.005
+PIECE_SHARE = 0.3  # Pieces with a smaller share of the area of a kind's largest one are no cloth.
+SEEN_SHARE = 0.4  # Clothes of a kind become a garment if at least this share of their faces is seen.
+STIFF = 0.99  # A part is stiff if one bone has more of the weights of each of its vertices.
+OWN = "own"  # In a garment's manifest it names the entry with its kind and the parts that it was.
+MARK = "~"  # It stands between a character and the kind in the name of a garment.
 
 
 @dataclass(frozen=True, eq=False)
 class OwnGarments:
-    """The ``garments`` that a character came in, the innermost first; ``stiff``: why its other clothes stay on its
+    """The ``garments`` that a character came in, the innermost first. ``stiff`` says why its other clothes stay on its
     skin, by the names of the parts."""
 
     garments: tuple[Garment, ...]
@@ -66,8 +67,9 @@ class OwnGarments:
 
 
 class OwnCloth(NamedTuple):
-    """Clothes of one ``kind``, the parts ``numbers`` of a character: its faces ``rows`` (n,). Runs of their other faces
-    stay on the skin (first and count of each)."""
+    """Clothes of one ``kind`` that become one garment: the parts ``numbers`` of a character, of which the faces
+    ``rows`` (n,) become cloth. Their other faces stay on the skin: ``stays`` has the first face and the length of each
+    run of these."""
 
     kind: str
     numbers: tuple[int, ...]
@@ -76,7 +78,8 @@ class OwnCloth(NamedTuple):
 
 
 def own_garments(payload: bytes, wearer: Wearer) -> OwnGarments:
-    """The clothes of the character in the file ``payload``, of which ``wearer`` was made, as garments on its body.
+    """Returns the clothes of the character in the file ``payload`` as garments on its body. ``wearer`` was made of this
+    file.
 
     A garment's ``body_digest`` is that of the body of ``wearer`` on which it lies. Raises ``MeshError`` for another
     file.
@@ -85,8 +88,9 @@ def own_garments(payload: bytes, wearer: Wearer) -> OwnGarments:
     attire, parts = wearer.attire, wearer.attire.parts
     loose = {number for number, part in enumerate(parts) if part.kind in KINDS and part.name not in stiff}
     kinds = [kind for kind in KINDS if any(parts[number].kind == kind for number in loose)]
+    halves = Halves(any(kind in UPPER for kind in kinds), any(kind in LOWER for kind in kinds))
     numbers = {kind: sorted(number for number in loose if parts[number].kind == kind) for kind in kinds}
-    file, body = GltfFile(payload, label=wearer.name), wearer.body_under(_halves(kinds))
+    file, body = GltfFile(payload, label=wearer.name), wearer.body_under(halves)
     buried = _buried(wearer, body, kinds)
     worn = []
     for kind, own in numbers.items():
@@ -105,7 +109,7 @@ def own_garments(payload: bytes, wearer: Wearer) -> OwnGarments:
 
 
 def own_faces(wearer: Wearer, garments: Iterable[Garment]) -> np.ndarray:
-    """Returns which faces (F,) bool of ``wearer`` belong to those of ``garments`` that it came in: they are drawn as
+    """Returns the mask (F,) bool of the faces of ``wearer`` that became cloth of one of ``garments``, and are drawn as
     cloth."""
     own = np.zeros(len(wearer.faces), dtype=bool)
     for garment in garments:
@@ -118,18 +122,19 @@ def own_faces(wearer: Wearer, garments: Iterable[Garment]) -> np.ndarray:
 
 
 def halves_on(wearer: Wearer, garments: Sequence[Garment], standard: BodyModel) -> Halves:
-    """Returns whether ``garments`` lie on the upper and on the lower half of a body: some are made for the ``standard``
-    body, others are the ``wearer``'s own."""
+    """Returns on which halves of a body the ``garments`` lie. Some are made for the ``standard`` body, others are the
+    ``wearer``'s own."""
     own = [garment for garment in garments if OWN in garment.manifest]
     others = [garment for garment in garments if OWN not in garment.manifest]
     return joined_halves([halves_of(others, standard), halves_of(own, wearer.body)])
 
 
 class Undressed(NamedTuple):
-    """The faces of a character in garments that are not drawn, and those of its bare body that are drawn instead.
+    """The faces of a character in garments that are not drawn, and what is drawn instead.
 
-    ``off`` (F,) marks the former and ``bare`` (Fb,) the latter. ``tucked`` is a top of its own that is tucked in, or
-    None. ``deep`` (Fb,) marks those of ``bare`` that lie under the garments, up to their hems; None: none.
+    ``off`` (F,) bool are the character's faces that are not drawn, and ``bare`` (Fb,) bool the faces of its bare body
+    that are. ``tucked`` is a top of its own that is tucked in, None where there is none. ``deep`` (Fb,) bool are those
+    of ``bare`` that lie under the garments, up to their hems; None where none does.
     """
 
     off: np.ndarray
@@ -139,26 +144,26 @@ class Undressed(NamedTuple):
 
     @property
     def added(self) -> int:
-        """How many faces are seen there."""
+        """The number of faces that are drawn instead, of the bare body and of the tucked top."""
         return int(self.bare.sum()) + (0 if self.tucked is None else len(self.tucked.faces))
 
 
-def undressed(
+def undress(
     wearer: Wearer, own: np.ndarray, cloth: Sequence[tuple[np.ndarray, np.ndarray]], halves: Halves
 ) -> Undressed:
-    """Returns what is not drawn of ``wearer`` in garments, and what is seen instead.
+    """Returns what is not drawn of ``wearer`` in garments, and what is drawn instead.
 
-    ``own`` (F,) bool: its faces that are drawn as cloth. ``cloth``: vertices [m] (V, 3) and faces (F, 3) of each
-    garment in the T-pose. ``halves``: where garments of ours lie. They take off what lies there; tops that stay on are
-    tucked into trousers of ours.
+    ``own`` (F,) bool are its faces that are drawn as cloth. ``cloth`` has vertices [m] (V, 3) and faces (F, 3) of each
+    garment in the T-pose. ``halves`` are those on which garments of ours lie: they take off what lies there, and tops
+    that stay on are tucked into trousers of ours.
     """
     if not wearer.attire.parts:
         return Undressed(np.zeros(len(wearer.faces), dtype=bool), np.zeros(len(wearer.body.faces), dtype=bool))
     body, surface = wearer.body, (wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64))
-    off = taken_off(wearer.attire, halves)
+    off = removed_faces(wearer.attire, halves)
     off &= ~sewn_to_ends(wearer.weights, surface[1], off)
     off |= own
-    tops = tucked(wearer.attire, halves) & ~off
+    tops = tucked_faces(wearer.attire, halves) & ~off
     top = tucked_top(wearer, tops, cloth) if tops.any() else None
     if top is not None:
         off |= top.off & tops
@@ -172,9 +177,9 @@ def undressed(
     return Undressed(off, bare, top, deep)
 
 
-def dressed_in(own: Sequence[Garment], halves: Halves) -> tuple[list[Garment], list[Garment]]:
-    """Returns those of a character's ``own`` garments that stay on under garments on these ``halves``: those below the
-    others, and those over them."""
+def split_own(own: Sequence[Garment], halves: Halves) -> tuple[list[Garment], list[Garment]]:
+    """Returns two lists of those of a character's ``own`` garments that stay on under other garments on these
+    ``halves``: the ones worn below the others, and the ones worn over them."""
     off = (UPPER if halves.upper else ()) + (LOWER if halves.lower else ())
     left = [garment for garment in own if garment.manifest[OWN]["kind"] not in off]
     lower = [garment for garment in left if garment.manifest[OWN]["kind"] in LOWER]
@@ -182,14 +187,11 @@ def dressed_in(own: Sequence[Garment], halves: Halves) -> tuple[list[Garment], l
 
 
 def body_of(garment: Garment, wearer: Wearer, standard: BodyModel) -> BodyModel:
-    """The body that ``garment`` was made for: one of those of ``wearer``, or the ``standard`` one."""
+    """Returns the body that ``garment`` was made for: the bare body of ``wearer``, the one with its trousers on, or the
+    ``standard`` body."""
     if garment.body_digest in (standard.digest, wearer.body.digest):
         return wearer.body if garment.body_digest == wearer.body.digest else standard
     return wearer.upper if garment.body_digest == wearer.upper.digest else standard
-
-
-def _halves(kinds: Sequence[str]) -> Halves:
-    return Halves(any(kind in UPPER for kind in kinds), any(kind in LOWER for kind in kinds))
 
 
 def _large_pieces(wearer: Wearer, rows: np.ndarray) -> np.ndarray:
@@ -262,22 +264,23 @@ def _mesh(file: GltfFile, wearer: Wearer, name: str, rows: np.ndarray) -> Garmen
     """The faces ``rows`` of ``wearer`` with their materials, pictures and texture coordinates."""
     assert wearer.file is not None
     used, faces = np.unique(wearer.faces[rows], return_inverse=True)
-    held = [texture_of(file, primitive) for primitive in wearer.file.primitives]
+    textured = [texture_of(file, primitive) for primitive in wearer.file.primitives]
     triangle = wearer.file.triangle[rows]
-    material = np.repeat([-1 if one is None else one for _, one in held], [len(uv) for uv, _ in held])[triangle]
+    numbers = [-1 if number is None else number for _, number in textured]
+    material = np.repeat(numbers, [len(uv) for uv, _ in textured])[triangle]
     there, face_material = np.unique(material, return_inverse=True)
-    materials = [None if one < 0 else int(one) for one in there]
+    materials = [None if number < 0 else int(number) for number in there]
     looks, notes = gltf_looks(file, materials)
-    told = [{} if one is None else file.item("materials", one, "primitives.material") for one in materials]
-    names = [one.get("name") for one in told]
-    corners = np.concatenate([uv for uv, _ in held])[triangle].reshape(-1, 2)
-    uv, uv_faces = np.unique(corners, axis=0, return_inverse=True)  # corners that meet are one: files split the others
+    fields = [{} if number is None else file.item("materials", number, "primitives.material") for number in materials]
+    names = [field.get("name") for field in fields]
+    corners = np.concatenate([uv for uv, _ in textured])[triangle].reshape(-1, 2)
+    uv, uv_faces = np.unique(corners, axis=0, return_inverse=True)  # Corners that meet are one. Files split the others.
     mesh = plain_mesh(name, wearer.vertices[used], faces.reshape(-1, 3))
     return replace(
         mesh,
-        uv=np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]),  # glTF's origin is at the upper left
+        uv=np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]),  # glTF has the origin at the upper left.
         uv_faces=uv_faces.reshape(-1, 3),
-        material_names=tuple(one if isinstance(one, str) else f"material {i}" for i, one in enumerate(names)),
+        material_names=tuple(name if isinstance(name, str) else f"material {i}" for i, name in enumerate(names)),
         face_material=face_material.reshape(-1),
         looks=looks,
     ).noted(*notes)

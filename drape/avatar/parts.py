@@ -1,4 +1,4 @@
-"""Parts of a body by whose bones move them: where a character's skin and ours are compared."""
+"""Parts of a body, by the joints that move them: a character's skin is compared with ours part by part."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ PARTS = {
        ("palm", ("wrist", "hand")), ("thigh", ("hip",)), ("shin", ("knee",)), ("sole", ("ankle", "foot")))},
 }  # fmt: skip
 CHAINS = (("upper_arm", "forearm", "palm"), ("thigh", "shin", "sole"))
-LIMBS = ("trunk", "upper_arm", "forearm", "thigh", "shin")  # where the fit is measured: what garments lie on
+LIMBS = ("trunk", "upper_arm", "forearm", "thigh", "shin")  # The fit is measured on the parts that garments lie on.
 
 
 def parts_of(weights: np.ndarray) -> np.ndarray:
-    """Which of ``PARTS`` each row of ``weights`` (V, 24) belongs to most."""
+    """Returns the index (V,) in ``PARTS`` of the part whose joints have most of each row of ``weights`` (V, 24)."""
     index = {name: joint for joint, name in enumerate(JOINT_NAMES)}
     return np.argmax([weights[:, [index[name] for name in names]].sum(axis=1) for names in PARTS.values()], axis=0)
 
 
 def plain_part(part: str) -> str:
-    """The name of ``part`` without its side."""
+    """Returns the name of ``part`` without its side: "palm" of "left_palm"."""
     return part.removeprefix("left_").removeprefix("right_")
 
 
@@ -44,20 +44,24 @@ def _beside(part: str) -> set[str]:
     return near | {"neck": {"trunk", "head"}, "head": {"neck"}}.get(part, set())
 
 
-_JOINED = np.array([[other in _beside(part) for other in PARTS] for part in PARTS])  # by numbers of parts
+# Rows and columns are indices of ``PARTS``.
+_JOINED = np.array([[other in _beside(part) for other in PARTS] for part in PARTS])
 
 
 def beside(own: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Returns whether each part of ``own`` (n,) is the one of ``others`` (n,), or joins it."""
+    """Returns the mask (n,) bool of the parts ``own`` (n,) that are equal to the parts ``others`` (n,), or join them.
+    Parts are indices of ``PARTS``."""
     return _JOINED[own, others]
 
 
 def faces_beside(part: str, corners: np.ndarray) -> np.ndarray:
-    """The character's faces (n,) of ``part`` and of those that join it; ``corners`` (F, 3) are the corners' parts."""
+    """Returns the indices (n,) of a character's faces whose three corners lie on ``part`` or on parts that join it.
+    ``corners`` (F, 3) are the corners' parts as indices of ``PARTS``."""
     return np.flatnonzero(beside(np.array(list(PARTS).index(part)), corners).all(axis=1))
 
 
 def counted_vertices(pose: TPose) -> np.ndarray:
-    """Returns the numbers (n,) of the character's vertices on trunk and limbs; heads, hands and feet do not count."""
+    """Returns the indices (n,) of the character's vertices on trunk, arms and legs that faces use. Neck, head, hands
+    and feet do not count in a fit."""
     wanted = [number for number, part in enumerate(PARTS) if plain_part(part) in LIMBS]
     return np.intersect1d(np.flatnonzero(np.isin(parts_of(pose.weights), wanted)), pose.faces)

@@ -20,25 +20,28 @@ from drape.avatar.file_skeleton import FileRig, FileSkeleton
 from drape.avatar.own_clothes import bare_colours
 from drape.avatar.own_garments import Undressed
 from drape.avatar.rig_motion import RigClip, rig_motion
-from drape.avatar.rig_weights import blended, garment_weights, heaviest, undone, volume
+from drape.avatar.rig_weights import garment_weights, heaviest, joint_blends, volume
 from drape.avatar.wearer import Wearer
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from drape.export.glb import NORMAL_STEPS, Corners, Shape, add_shape, normal_steps, split_seams, vertex_normals
 from drape.export.glb_file import VERTEX_BUFFER, GlbFile
 from drape.export.surface import MeshSurface
 from drape.garment.cache import Garment
+from drape.motion.joint_names import ancestors
 from drape.wanted import go_on
 
 BARE, UNDER, TUCKED = "bare skin", "skin under garments", "tucked top"
-DEEPER = {"extras": {"deeper_m": DEEPER_M}}  # of a node
-GAMMA = 2.2  # glTF's colours are linear
+DEEPER = {"extras": {"deeper_m": DEEPER_M}}  # Fields of a node.
+GAMMA = 2.2  # glTF's colours are linear, and ours are sRGB.
 _NO_MATERIALS = np.zeros((0, 3), dtype=np.int64), (), np.zeros(0, dtype=np.int64)
-LEAST_VOLUME = 0.2  # of a blend of joints, of theirs: one that is flatter cannot be undone, and gets a single joint
+# A blend of joints that keeps a smaller share of their volume cannot be inverted: such a vertex gets one joint.
+LEAST_VOLUME = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class Dressed:
-    """A ``garment`` cut for a character at ``vertices`` [m] (F, V, 3) of the rig's world, and its ``colour``."""
+    """A ``garment`` on a character over a clip: the vertices [m] (F, D, 3) that are drawn, in the world of the rig, and
+    its ``colour``, linear red, green, blue and opacity."""
 
     garment: Garment
     vertices: np.ndarray
@@ -55,10 +58,11 @@ def add_dressed(
     *,
     quantised: bool = True,
 ) -> None:
-    """Adds garments and a ``clip`` to ``file``, in the unit of the character's own file.
+    """Adds the garments ``layers`` to ``file``, skinned to the rig and with a morph target for each frame, and an
+    animation of ``clip``. Lengths are in the unit of the character's own file.
 
-    ``wearer`` wears the ``layers``; its own file had ``rig``. The skeleton's node n is the node ``nodes[n]`` of
-    ``file``. ``quantised``: normals have 8 bits (KHR_mesh_quantization).
+    ``wearer`` wears the ``layers``, and ``rig`` is that of its file. The skeleton's node n is the node ``nodes[n]`` of
+    ``file``. ``quantised``: normals have 8 bits (KHR_mesh_quantization), otherwise they are float32.
     """
     skeleton = rig.skeleton
     motion = rig_motion(clip, wearer, skeleton)
@@ -75,25 +79,26 @@ def add_dressed(
 
 
 def bare_file(wearer: Wearer, rig: FileRig, left: Undressed) -> GlbFile:
-    """Returns a file with what ``add_bare`` adds and nothing else."""
+    """Returns a new file with the nodes of ``rig`` and what ``add_bare`` adds to them."""
     file = GlbFile()
     add_bare(file, add_nodes(file, rig.skeleton), wearer, rig, left)
     return file
 
 
 def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig, left: Undressed) -> None:
-    """Adds what is seen where clothes of ``wearer`` are not drawn, which ``left`` says: skin in its mean colour (at
-    the hips in that of trousers that stay on), and a top that is tucked in, in the colours of its faces.
+    """Adds to ``file`` the meshes that are seen where clothes of ``wearer`` are not drawn, which ``left`` says. These
+    are skin in its mean colour (at the hips in that of trousers that stay on), and a tucked top in the colours of its
+    faces.
 
-    Clients draw the top, and skin under garments, deeper than they are, by their nodes' ``deeper_m``. All are skinned
-    to the character's nodes, as ``add_dressed`` has them, in the unit of its file.
+    All are skinned to the nodes of ``rig`` in the unit of the character's file; the skeleton's node n is ``nodes[n]``.
+    Clients draw the top, and skin under garments, deeper than they are: their nodes say by how much (``deeper_m``).
     """
     body, top, attire = wearer.body, left.tucked, wearer.attire
     still = RigClip(*wearer.to_rig(np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3))), 1.0)
     blends = rig_motion(still, wearer, rig.skeleton).part(np.zeros(0, dtype=np.int64)).blends
     onto, skin = _onto_joints(wearer, rig.skeleton), _add_skin(file, rig.skeleton, nodes)
 
-    def add(mesh: tuple[str, np.ndarray, np.ndarray, np.ndarray], colours: np.ndarray, told: dict[str, Any]) -> None:
+    def add(mesh: tuple[str, np.ndarray, np.ndarray, np.ndarray], colours: np.ndarray, fields: dict[str, Any]) -> None:
         name, vertices, faces, weights = mesh
         surface = MeshSurface(name, len(vertices), faces, np.zeros((0, 2)), *_NO_MATERIALS)
         corners, on = split_seams(surface), scipy.sparse.csr_matrix(weights) @ onto
@@ -105,14 +110,14 @@ def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig,
                 (colours[corners.source] ** GAMMA).astype(np.float32), target=VERTEX_BUFFER
             )
         red, green, blue = (shade**GAMMA).tolist()
-        add_shape(file, surface, corners, Shape(parts, {"skin": skin} | told), 0, 1.0, (red, green, blue, 1.0))
+        add_shape(file, surface, corners, Shape(parts, {"skin": skin} | fields), 0, 1.0, (red, green, blue, 1.0))
 
     colours = bare_colours(body, attire, wearer.vertices, wearer.faces, left.off)
     deep = np.zeros_like(left.bare) if left.deep is None else left.bare & left.deep
-    for name, there, told in ((BARE, left.bare & ~deep, {}), (UNDER, deep, DEEPER)):
+    for name, there, fields in ((BARE, left.bare & ~deep, {}), (UNDER, deep, DEEPER)):
         if there.any():
             used, faces = np.unique(body.faces[there], return_inverse=True)
-            add((name, body.v_template[used], faces.reshape(-1, 3), body.weights[used]), colours[used], told)
+            add((name, body.v_template[used], faces.reshape(-1, 3), body.weights[used]), colours[used], fields)
     if top is not None:
         own, count = np.repeat(attire.colours[top.rows], 3, axis=0), np.bincount(top.faces.reshape(-1))
         sums = [np.bincount(top.faces.reshape(-1), channel) for channel in own.T]
@@ -125,16 +130,16 @@ def _onto_joints(wearer: Wearer, skeleton: FileSkeleton) -> scipy.sparse.csr_mat
     column = {int(node): number for number, node in enumerate(skeleton.joints)}
     columns: list[int] = []
     for joint, name in enumerate(JOINT_NAMES):
-        node = wearer.rig.sources.get(name, -1)
-        while node >= 0 and node not in column:
-            node = skeleton.parents[node]
-        columns.append(column[node] if node >= 0 else columns[PARENTS[joint]] if joint else 0)
+        line = ancestors(skeleton.parents, wearer.rig.sources.get(name, -1))
+        otherwise = columns[PARENTS[joint]] if joint else 0
+        columns.append(next((column[node] for node in line if node in column), otherwise))
     onto = np.ones(len(columns)), (np.arange(len(columns)), np.array(columns))
     return scipy.sparse.csr_matrix(onto, (len(columns), len(skeleton.joints)))
 
 
 def add_nodes(file: GlbFile, skeleton: FileSkeleton) -> dict[int, int]:
-    """Adds the nodes of ``skeleton`` to ``file``. Returns the file's node for each place of the skeleton."""
+    """Adds the nodes of ``skeleton`` to ``file``, below the top of its scene. Returns the index of the new node of each
+    of the skeleton's nodes that is written."""
     kept, waiting = [], list(skeleton.tops[::-1])
     while waiting:
         kept.append(waiting.pop())
@@ -152,7 +157,7 @@ def add_nodes(file: GlbFile, skeleton: FileSkeleton) -> dict[int, int]:
 
 def _add_skin(file: GlbFile, skeleton: FileSkeleton, nodes: dict[int, int]) -> int:
     """The skin in ``file``."""
-    columns = np.swapaxes(skeleton.binds, -1, -2).astype(np.float32)  # as stored: column by column
+    columns = np.swapaxes(skeleton.binds, -1, -2).astype(np.float32)  # glTF stores matrices column by column.
     columns[:, :, 3] = [0.0, 0.0, 0.0, 1.0]
     joints = [nodes[int(joint)] for joint in skeleton.joints]
     return file.add("skins", {"joints": joints, "inverseBindMatrices": file.array(columns)})
@@ -172,14 +177,15 @@ def _shape(
     is at ``at`` (F + 1, V, 3) in the others."""
     flat = blends[:, :, :3, :].reshape(len(blends), -1, 12)
     bones, kept = heaviest(weights, np.zeros(len(at[0]), dtype=bool))
-    volumes = [volume(blended(kept, bones, one)) / volume(one.reshape(-1, 3, 4))[bones[:, 0]] for one in flat]
+    volumes = [volume(joint_blends(kept, bones, maps)) / volume(maps.reshape(-1, 3, 4))[bones[:, 0]] for maps in flat]
     bones, kept = heaviest(weights, np.min(volumes, axis=0) < LEAST_VOLUME)
     parts: list[dict[str, int]] = []
     first, first_normals = np.zeros(0), None
-    for points, one in zip(at, flat, strict=True):
+    for points, maps in zip(at, flat, strict=True):
         go_on()
-        inverse, offset = undone(blended(kept, bones, one))
-        bound = np.einsum("vab,vb->va", inverse, points - offset)
+        blends_now = joint_blends(kept, bones, maps)
+        inverse = np.linalg.inv(blends_now[:, :, :3])
+        bound = np.einsum("vab,vb->va", inverse, points - blends_now[:, :, 3])
         normals = np.einsum("vab,vb->va", inverse, vertex_normals(points[None], faces)[0])
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         way = bound - first if parts else bound

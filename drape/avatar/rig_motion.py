@@ -1,4 +1,4 @@
-"""A clip on the nodes of a character's own file: their local transforms, and where they are."""
+"""A clip on the nodes of a character's own file: their local transforms, and their world transforms."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from drape.export.glb_file import Channel, GlbFile
 from drape.export.root_motion import quaternion_keys
 from drape.motion.rig_poses import carrier
 
-STILL = 1e-11  # a node that turns by less than 1e-5 rad in all frames is not animated
+STILL = 1e-11  # A node that turns by less than 1e-5 rad in all frames is not animated.
 
 
 @dataclass(frozen=True, eq=False)
 class RigClip:
-    """Local ``quaternions`` (F, N, 4), xyzw, of a character's nodes, and ``places`` [m] (F, 3) of its pelvis's."""
+    """A clip on a character's rig: local rotations of its N nodes, unit ``quaternions`` (F, N, 4) xyzw, and the
+    positions ``places`` [m] (F, 3) of the pelvis's node in the world."""
 
     quaternions: np.ndarray
     places: np.ndarray
@@ -28,12 +29,13 @@ class RigClip:
 
 @dataclass(frozen=True, eq=False)
 class RigMotion:
-    """A clip on a ``skeleton`` after the T-pose in which garments are at rest: F frames are rows 1 to F.
+    """A clip of F frames on a ``skeleton`` of N nodes. Row 0 of the arrays is the T-pose in which garments are at rest;
+    the frames are rows 1 to F.
 
-    ``moves`` (F + 1, N, 3) are the local translations of N nodes in the unit of the file, and ``turns`` (F + 1, N, 4)
-    their local rotations as quaternions wxyz, both rounded to float32. ``world`` (F + 1, N, 4, 4) are the transforms
-    that follow. ``animated`` (n,) are the nodes that turn, ``top`` is the one node that is also displaced, and
-    ``pelvis`` that of the pelvis.
+    ``moves`` (F + 1, N, 3) are the nodes' local translations in the unit of the file, ``turns`` (F + 1, N, 4) their
+    local rotations, quaternions wxyz; both are rounded to float32. ``world`` (F + 1, N, 4, 4) are the world transforms
+    that follow. ``animated`` (n,) are the indices of the nodes that turn, ``top`` that of the one node that is also
+    displaced, and ``pelvis`` that of the pelvis's node.
     """
 
     skeleton: FileSkeleton
@@ -47,26 +49,27 @@ class RigMotion:
 
     @property
     def blends(self) -> np.ndarray:
-        """The maps (F + 1, J, 3, 4) from the bind pose to the world, of each joint."""
+        """The affine maps (F + 1, J, 4, 4) of each of the skeleton's joints from the bind pose to the world."""
         return self.world[:, self.skeleton.joints] @ self.skeleton.binds
 
     def part(self, rows: np.ndarray) -> RigMotion:
-        """The T-pose and the frames ``rows`` (n,)."""
+        """Returns the T-pose and the frames ``rows`` (n,) of the clip, where 0 is the first frame."""
         rows = np.concatenate([[0], rows + 1])
         return replace(self, moves=self.moves[rows], turns=self.turns[rows], world=self.world[rows])
 
     def animate(self, file: GlbFile, nodes: Mapping[int, int], more: Sequence[Channel] = ()) -> None:
-        """Adds the clip to ``file``, in which the skeleton's node n is ``nodes[n]``, with ``more`` channels."""
+        """Adds an animation to ``file``: the F frames of the clip and the channels ``more``. The skeleton's node n is
+        the node ``nodes[n]`` of ``file``."""
         channels = [(nodes[n], "rotation", quaternion_keys(self.turns[1:, n])) for n in self.animated if n in nodes]
-        if self.top in nodes:  # what no skin hangs on is not written
+        if self.top in nodes:  # A node on which no skin hangs is not written.
             channels.append((nodes[self.top], "translation", self.moves[1:, self.top].astype(np.float32)))
         file.animate(len(self.moves) - 1, self.fps, [*channels, *more])
 
 
 def rig_motion(clip: RigClip, wearer: Wearer, skeleton: FileSkeleton) -> RigMotion:
-    """The ``clip`` on the ``skeleton`` of the file of ``wearer``.
+    """Returns ``clip`` on the ``skeleton`` of the file of ``wearer``.
 
-    The node that carries legs and trunk moves, so that the pelvis's is where the clip has it.
+    The node that carries legs and trunk is displaced, so that the node of the pelvis lies where the clip has it.
     """
     rest = wearer.to_rig(np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3)))
     quaternions, places = (np.concatenate(pair) for pair in zip(rest, (clip.quaternions, clip.places), strict=True))

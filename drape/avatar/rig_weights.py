@@ -1,4 +1,4 @@
-"""Weights of a garment's vertices on the joints of a character's own rig, and the blends that they make."""
+"""Skinning weights of a garment's vertices on the joints of a character's own rig, and blends of the joints' maps."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from drape.garment.cache import Garment
 from drape.garment.skin import smoothing_matrix
 from drape.geometry.closest import closest_point
 
-HEAVIEST = 4  # joints of a vertex, which is what players support
+HEAVIEST = 4  # Players support so many joints a vertex.
 SMOOTHING_PASSES = 6
 
 
 def garment_weights(garment: Garment, wearer: Wearer, rig: FileRig) -> scipy.sparse.csr_matrix:
-    """Weights (D, J) of the joints for each vertex that is drawn: those of the skin next to the cloth there, smooth.
+    """Returns the skinning weights (D, J), sparse, of the garment's D drawn vertices on the J joints of ``rig``: those
+    of the wearer's surface next to the cloth, smoothed along it. Rows sum to one.
 
-    Hair, fingers and what else is no trunk or limb moves no cloth.
+    Heads, hands, hair and things that are carried move no cloth.
     """
     corners = parts_of(wearer.weights)[wearer.faces]
     names = list(PARTS)
@@ -43,9 +44,10 @@ def garment_weights(garment: Garment, wearer: Wearer, rig: FileRig) -> scipy.spa
 
 
 def heaviest(weights: scipy.sparse.csr_matrix, alone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The heaviest joints (V, 4) of each vertex and their weights, float32, summing to one; a single one where a vertex
-    is to have it ``alone`` (V,)."""
-    used = np.unique(weights.indices)  # of thousands of joints few move a garment
+    """Returns the heaviest joints (V, 4) of each vertex, as columns of ``weights`` (V, J), and their weights (V, 4),
+    float32, which sum to one. A vertex that is ``alone`` (V,) bool has its heaviest joint only. Entries without weight
+    name joint 0."""
+    used = np.unique(weights.indices)  # Of thousands of joints few move a garment.
     dense = weights[:, used].toarray()
     order = np.argsort(-dense, axis=1, kind="stable")[:, :HEAVIEST]
     order = np.pad(order, ((0, 0), (0, HEAVIEST - order.shape[1])))
@@ -56,16 +58,13 @@ def heaviest(weights: scipy.sparse.csr_matrix, alone: np.ndarray) -> tuple[np.nd
     return np.where(kept > 0.0, used[order], 0), kept
 
 
-def blended(weights: np.ndarray, bones: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """The blends (V, 3, 4) of ``moves`` (J, 12) by ``weights`` (V, 4) of ``bones`` (V, 4)."""
+def joint_blends(weights: np.ndarray, bones: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """Returns the blends (V, 3, 4) of the joints' affine maps ``moves`` (J, 12), flat, for vertices with ``weights``
+    (V, 4) of the joints ``bones`` (V, 4)."""
     return np.einsum("vk,vkm->vm", weights.astype(np.float64), moves[bones]).reshape(-1, 3, 4)
 
 
 def volume(moves: np.ndarray) -> np.ndarray:
-    """Returns the factors (V,) by which ``moves`` (V, 3, 4) make volumes larger."""
+    """Returns the factors (V,) by which the affine maps ``moves`` (V, 3, 4) enlarge volumes, negative where they
+    mirror."""
     return np.linalg.det(moves[:, :, :3])
-
-
-def undone(moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The inverse of the linear part (V, 3, 3) of ``moves`` (V, 3, 4), and their translation (V, 3)."""
-    return np.linalg.inv(moves[:, :, :3]), moves[:, :, 3]

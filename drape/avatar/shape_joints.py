@@ -1,9 +1,9 @@
-"""A person's joints by where they are, for rigs whose names nobody knows.
+"""A person's joints by their positions, for rigs whose names are unknown.
 
-The lowest skin tells the feet: two branches of one node end there. The skin farthest out to both sides tells the hands:
+The lowest skin shows the feet: two branches of one node end there. The skin farthest out to both sides shows the hands:
 their branches leave the trunk at another node, and what goes on upwards from there is neck and head. Along each branch
 the joints are the three nodes whose distances are the most like a person's (``LEG``, ``ARM``), so that bones of twist
-and roll between them are passed over. Feet tell where the character looks, and so which side is its left.
+and roll between them are passed over. Feet show where the character looks, and so which side is its left.
 
 Only nodes that move skin count. Up is y, as glTF has it.
 """
@@ -18,40 +18,40 @@ import numpy as np
 
 from drape.avatar.character import Character
 from drape.errors import MotionError
-from drape.motion.joint_names import CURE, with_trunk
+from drape.motion.joint_names import CURE, ancestors, with_trunk
 
-GROUND = 0.05  # of the height: skin below that stands on the floor
-FEW = 0.02  # of that skin: what moves less of it does not stand
-LOW_FOOT = 0.35  # of the height: what a leg's nodes on the floor have in common lies below that
-APART = 0.02  # of the height: hips are at least as far from the middle
-LEG = (0.5, 0.1)  # the thigh's share of thigh and shin; the ankle's height over that of the hip
-ARM = (
-    0.35,
-    0.71,
-    0.5,
-    0.24,
-)  # of the arm down to its finger tips: elbow, wrist; the upper arm's share; way from the middle
-HAND, HEAD = 0.15, 0.3  # what a node with fingers is worth; the head's place between neck and crown
-LEAST_ARM = 0.25  # of the height: a child's are longer
-FINGER = 0.4  # of the longest branch of a hand: a shorter one is no finger
+GROUND = 0.05  # Skin below this share of the height stands on the floor.
+FEW = 0.02  # A node that moves a smaller share of that skin does not stand.
+LOW_FOOT = 0.35  # The lowest node above all of a foot's nodes lies below this share of the height.
+APART = 0.02  # Hips are at least this share of the height away from the middle.
+LEG = (0.5, 0.1)  # The thigh's share of thigh and shin, and the ankle's height over the hip's.
+# Shares of the arm down to its finger tips: where elbow and wrist lie. Then the upper arm's share of the arm without
+# the hand, and the shoulder's distance from the middle as a share of the arm.
+ARM = (0.35, 0.71, 0.5, 0.24)
+HAND, HEAD = 0.15, 0.3  # What a node with fingers is worth, and the head's place between neck and crown.
+LEAST_ARM = 0.25  # Arms are at least this share of the height; a child's are longer.
+FINGER = 0.4  # A branch with a smaller share of the length of a hand's longest one is no finger.
 LEAST_CONFIDENCE = 0.6
 
 
 @dataclass(frozen=True)
 class ShapeJoints:
-    """The node of each SMPL joint that was found, and how like a person's the places are, from 0 to 1."""
+    """The joints of a character by their positions: the node of each SMPL joint that was found, and how much the
+    positions are like a person's, from 0 to 1."""
 
     sources: dict[str, int]
     confidence: float
 
 
 def joints_by_shape(character: Character, *, label: str = "avatar") -> ShapeJoints:
-    """The joints of ``character`` by their places. Raises ``MotionError`` with what is missing of a person."""
+    """Returns the joints of ``character`` by the positions of its nodes. Raises ``MotionError``, which says what is
+    missing, for nodes that are no person's. ``label`` names the character there."""
     return _Reading(character, label).joints()
 
 
 def hanging_on(parents: Sequence[int], node: int) -> np.ndarray:
-    """Returns which nodes (N,) bool are ``node`` or hang below it; ``parents`` (N,) are -1 where there is none."""
+    """Returns the mask (N,) bool of ``node`` and the nodes below it. ``parents`` (N,) come before their children, -1
+    for none."""
     hangs = np.zeros(len(parents), dtype=bool)
     hangs[node] = True
     for other in range(node + 1, len(parents)):
@@ -65,9 +65,8 @@ class _Reading:
     def __init__(self, character: Character, label: str) -> None:
         self.label, self.parents, self.places = label, character.parents, character.places
         self.skin = character.vertices
-        self.owner = np.asarray(character.weights.argmax(axis=1)).reshape(
-            -1
-        )  # of each vertex, the node that moves it most
+        # The node that moves each vertex most.
+        self.owner = np.asarray(character.weights.argmax(axis=1)).reshape(-1)
         self.floor, self.height = float(self.skin[:, 1].min()), max(float(np.ptp(self.skin[:, 1])), 1e-9)
         moved = np.bincount(self.owner, minlength=len(self.parents))
         for node in range(len(self.parents) - 1, -1, -1):
@@ -76,7 +75,7 @@ class _Reading:
         self.lives = moved > 0
 
     def joints(self) -> ShapeJoints:
-        fork, tops, feet = self._legs()
+        tops, feet = self._legs()
         legs = [self._leg(top, foot) for top, foot in zip(tops, feet, strict=True)]
         hips = self.places[[leg[0][0] for leg in legs]]
         across = (hips[0] - hips[1]) * [1.0, 0.0, 1.0]
@@ -95,7 +94,7 @@ class _Reading:
             joints |= {f"{side}_{name}": node for name, node in zip(("hip", "knee", "ankle"), leg, strict=True)}
             joints |= {f"{side}_{name}": node for name, node in zip(("shoulder", "elbow", "wrist"), arm, strict=True)}
             joints |= self._ends(side, leg[2], arm_tops[0 if side == sides[0] else 1], arm[0])
-        joints = with_trunk(joints, self.parents, label=self.label) | self._head(chest, fork, {*arm_tops, *tops})
+        joints = with_trunk(joints, self.parents, label=self.label) | self._head(chest, {*arm_tops, *tops})
         errors = [error for _, error in (*legs, *arms)]
         confidence = float(np.exp(-max(errors) - self._lopsided(joints, across, middle)))
         if confidence < LEAST_CONFIDENCE:
@@ -104,16 +103,14 @@ class _Reading:
 
     # --- the tree ---
 
-    def _line(self, node: int) -> list[int]:
-        """``node`` and what is above it, up to the top."""
-        line = [node]
-        while self.parents[line[-1]] >= 0:
-            line.append(self.parents[line[-1]])
-        return line
+    def _way(self, top: int, end: int) -> list[int]:
+        """The nodes from ``top`` down to ``end``."""
+        line = ancestors(self.parents, end)
+        return line[: line.index(top) + 1][::-1]
 
     def _common(self, nodes: Sequence[int]) -> int:
         """The lowest node that holds all ``nodes``; -1 where they hang on several tops."""
-        lines = [self._line(node) for node in nodes]
+        lines = [ancestors(self.parents, node) for node in nodes]
         return next((node for node in lines[0] if all(node in line for line in lines[1:])), -1)
 
     def _lengths(self, *nodes: int) -> list[float]:
@@ -137,8 +134,8 @@ class _Reading:
 
     # --- legs ---
 
-    def _legs(self) -> tuple[int, list[int], list[int]]:
-        """The node where the legs part, the first node of each, and the last one that stands on the floor."""
+    def _legs(self) -> tuple[list[int], list[int]]:
+        """The first node of each leg, and its last one that stands on the floor."""
         low = self.owner[self.skin[:, 1] < self.floor + GROUND * self.height]
         nodes, counts = np.unique(low, return_counts=True)
         standing = nodes[counts >= FEW * counts.sum()]
@@ -151,11 +148,11 @@ class _Reading:
         if len(tops) != 2 or not all(plain):
             limbs = f"{len(tops)} limbs that do" if all(plain) else "limbs that part again above their feet"
             raise self._refused("two legs that stand on the floor", limbs)
-        return fork, tops, [max(foot, key=lambda node: len(self._line(node))) for foot in feet]
+        return tops, [max(foot, key=lambda node: len(ancestors(self.parents, node))) for foot in feet]
 
     def _leg(self, top: int, foot: int) -> tuple[tuple[int, int, int], float]:
         """Hip, knee and ankle on the way from ``top`` to ``foot``, and how unlike a person's they are."""
-        way = self._line(foot)[: self._line(foot).index(top) + 1][::-1]
+        way = self._way(top, foot)
         highest = self.places[way, 1].max()
         best, least = None, np.inf
         for hip, knee, ankle in combinations(way, 3):
@@ -200,12 +197,12 @@ class _Reading:
         chest = self._common(tips)
         if chest < 0 or chest in tips:
             raise self._refused("two arms", "none")
-        tops = [next(node for node in self._line(tip) if self.parents[node] == chest) for tip in tips]
+        tops = [next(node for node in ancestors(self.parents, tip) if self.parents[node] == chest) for tip in tips]
         return chest, tops, tips
 
     def _arm(self, top: int, tip: int, middle: np.ndarray, across: np.ndarray) -> tuple[tuple[int, int, int], float]:
         """Shoulder, elbow and wrist on the way from ``top`` to ``tip``, and how unlike a person's they are."""
-        way = self._line(tip)[: self._line(tip).index(top) + 1][::-1]
+        way = self._way(top, tip)
         best, least, bare = None, np.inf, np.inf
         for shoulder, elbow, wrist in combinations(way, 3):
             upper, fore = (
@@ -246,12 +243,12 @@ class _Reading:
 
     # --- head ---
 
-    def _head(self, chest: int, fork: int, limbs: set[int]) -> dict[str, int]:
+    def _head(self, chest: int, limbs: set[int]) -> dict[str, int]:
         """Neck and head: on the way from ``chest``, or from below it, up to the highest skin."""
-        taken = np.any([self._below(top) for top in limbs], axis=0)
-        crown = int(np.where(taken[self.owner], -np.inf, self.skin[:, 1]).argmax())
-        line = self._line(int(self.owner[crown]))
-        trunk = self._line(chest)
+        limb = np.any([self._below(top) for top in limbs], axis=0)
+        crown = int(np.where(limb[self.owner], -np.inf, self.skin[:, 1]).argmax())
+        line = ancestors(self.parents, int(self.owner[crown]))
+        trunk = ancestors(self.parents, chest)
         way = line[: next((k for k, node in enumerate(line) if node in trunk), 0)][::-1]
         if not way or self.skin[crown, 1] <= self.places[chest, 1]:
             return {}

@@ -9,15 +9,16 @@ from drape.avatar.parts import PARTS, parts_of, plain_part
 from drape.body.model import BodyModel
 from drape.geometry.closest import signed_distance
 
-OUT_M = 0.015  # a shoe stands out of the foot by more
-MOST = 0.95  # of what stands out: the tips of tongues and tags do not count
+OUT_M = 0.015  # A shoe stands out of the foot by more.
+MOST = 0.95  # The quantile of what stands out. Tips of tongues and tags do not count.
 
 
 def shoes_height(body: BodyModel, vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray) -> float:
-    """The height [m] in the frame of ``body`` up to which the shoes of its character stand out of its feet; below all
-    cloth, minus infinity, where none does.
+    """Returns the height [m], in the frame of ``body``, up to which a character's shoes stand out of the feet of
+    ``body``, which stands for it; minus infinity where none does.
 
-    ``vertices`` [m] (V, 3) of its surface in T-pose, ``faces`` (F, 3) and ``weights`` (V, 24) of the joints.
+    ``vertices`` [m] (V, 3) are the character's surface in T-pose, ``faces`` (F, 3) its faces and ``weights`` (V, 24)
+    its skinning weights.
     """
     soles = [number for number, part in enumerate(PARTS) if plain_part(part) == "sole"]
     shoes = faces[np.isin(parts_of(weights), soles)[faces].all(axis=1)]

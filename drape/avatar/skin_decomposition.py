@@ -14,12 +14,14 @@ import numpy as np
 
 from drape.avatar.affine_maps import rigid_fit
 
-SINGULAR = 1e-12  # of the mean square: what is added to weights' squares, so that equal bones share a vertex
+SINGULAR = 1e-12  # This share of the mean square is added to weights' squares, so that equal bones share a vertex.
 FRAMES_AT_ONCE = 16
+CLUSTER_ROUNDS = 8
 
 
-def blended(weights: np.ndarray, rest: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """The vertices (F, V, 3) of ``rest`` (V, 3) with ``weights`` (V, B) on bones that are at ``moves``."""
+def blend_vertices(weights: np.ndarray, rest: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """Returns the vertices (F, V, 3) that linear blend skinning makes of ``rest`` (V, 3) with ``weights`` (V, B) on
+    bones whose motions are ``moves`` (F, B, 3, 4)."""
     flat, points = moves.reshape(*moves.shape[:2], 12), homogeneous(rest)
     positions = np.empty((len(moves), len(rest), 3))
     for start in range(0, len(moves), FRAMES_AT_ONCE):
@@ -30,7 +32,7 @@ def blended(weights: np.ndarray, rest: np.ndarray, moves: np.ndarray) -> np.ndar
 
 
 def homogeneous(points: np.ndarray) -> np.ndarray:
-    """Returns the homogeneous coordinates (N, 4) of ``points`` (N, 3): a one comes last."""
+    """Returns the homogeneous coordinates (N, 4) of ``points`` (N, 3), the one last."""
     return np.concatenate([points, np.ones((len(points), 1))], axis=1)
 
 
@@ -45,12 +47,12 @@ def fit_weights(
     pull: np.ndarray | None = None,
     stiffness: float = 0.0,
 ) -> np.ndarray:
-    """Returns the weights (V, B) of bones at ``moves``, at most ``most`` a vertex, that bring ``rest`` nearest to
-    ``frames``.
+    """Returns the weights (V, B) of bones with the motions ``moves`` (F, B, 3, 4) that bring ``rest`` (V, 3) nearest to
+    ``frames`` (F, V, 3). They are not negative and sum to one, and at most ``most`` of a vertex are above zero.
 
     A vertex may have the bones ``candidates`` (V, C). Where these bring it no nearer than the bones of ``past`` weights
-    (V, B), it keeps the latter. ``stiffness`` [m^2 a frame] is what the square of a weight's difference from ``pull``
-    (V, B) costs, beside the squared distances.
+    (V, B), it keeps the latter. ``stiffness``, in squared length a frame, is what the square of a weight's difference
+    from ``pull`` (V, B) costs, beside the squared distances.
     """
     count, bones = len(rest), moves.shape[1]
     squares = np.einsum("fbai,fcaj->bcij", moves, moves, optimize=True) / len(frames)
@@ -71,8 +73,8 @@ def fit_weights(
 
 
 def better_fit(gram: np.ndarray, right: np.ndarray, most: int, stays: np.ndarray | None) -> np.ndarray:
-    """Returns the better of two results of ``simplex_fit`` (N, C), vertex by vertex: one of all weights, and one in
-    which only the weights ``stays`` (N, C) may be above zero."""
+    """Returns the weights (N, C) of the lower cost, row by row, of two results of ``simplex_fit``: that of all weights,
+    and that in which only the weights ``stays`` (N, C) bool may be above zero. Without ``stays`` it is the first."""
     fitted = simplex_fit(gram, right, most)
     if stays is None:
         return fitted
@@ -82,11 +84,12 @@ def better_fit(gram: np.ndarray, right: np.ndarray, most: int, stays: np.ndarray
 
 
 def simplex_fit(gram: np.ndarray, right: np.ndarray, most: int, stays: np.ndarray | None = None) -> np.ndarray:
-    """The weights w (N, C) >= 0 that sum to one, at most ``most`` of them above zero, for a small w.Gw / 2 - w.h each,
-    ``gram`` G (N, C, C) and ``right`` h (N, C). ``stays`` (N, C): those that may be above zero, all by default.
+    """Returns the weights w (N, C) that minimise w.Gw / 2 - w.h in each row, for ``gram`` G (N, C, C) and ``right`` h
+    (N, C). They are not negative and sum to one, and at most ``most`` of a row are above zero: of those ``stays``
+    (N, C) bool, all by default.
 
-    One after the other leaves: the most negative one, else the one whose absence costs least, which is w^2 over its
-    variance. What leaves does not come back, so the minimum is that of the weights that stay.
+    The minimum is approximate. Weights leave one after the other: the most negative one, else the one whose absence
+    costs least, which is w^2 over its variance. None comes back.
     """
     count, size = right.shape
     gram = gram + SINGULAR * np.trace(gram, axis1=1, axis2=2)[:, None, None] / size * np.eye(size)
@@ -133,12 +136,14 @@ def fit_moves(
     rounds: int = 1,
     steadiness: float = 0.0,
 ) -> np.ndarray:
-    """``moves`` with rigid ones of the ``free`` bones (n,), each fitted to ``frames`` in its turn, ``rounds`` times.
+    """Returns the motions ``moves`` (F, B, 3, 4) of all bones with new ones of the ``free`` bones (n,): rigid ones that
+    bring ``rest`` (V, 3) with ``weights`` (V, B) nearest to ``frames`` (F, V, 3), one bone after the other, ``rounds``
+    times.
 
-    ``steadiness``: the share of a bone's own vertices that weighs for where it was at first.
+    ``steadiness``: the weight, beside one, with which a bone's vertices are held where its motion had them at first.
     """
     first, moves = moves, moves.copy()
-    left = frames - blended(weights, rest, moves)
+    left = frames - blend_vertices(weights, rest, moves)
     points = homogeneous(rest)
     for _ in range(rounds):
         for bone in free:
@@ -146,7 +151,7 @@ def fit_moves(
             share, own = weights[rows, bone], points[rows]
             at = left[:, rows] + share[:, None] * (own @ moves[:, bone].swapaxes(-1, -2))
             targets = at / share[:, None]
-            if steadiness > 0.0:  # two targets of one point count as the place between them
+            if steadiness > 0.0:  # Two targets of one point count as their weighted mean.
                 targets = (targets + steadiness * (own @ first[:, bone].swapaxes(-1, -2))) / (1.0 + steadiness)
             if len(rows):
                 moves[:, bone] = rigid_fit(rest[rows], targets, share**2)
@@ -155,16 +160,17 @@ def fit_moves(
 
 
 def rigid_clusters(
-    rest: np.ndarray, frames: np.ndarray, count: int, *, rounds: int = 8, nearness: float = 0.0
+    rest: np.ndarray, frames: np.ndarray, count: int, *, nearness: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The cluster (V,) of each vertex, and rigid motions (F, ``count``, 3, 4) that take ``rest`` to ``frames``.
+    """Returns the cluster (V,) of each vertex, and the rigid motions (F, ``count``, 3, 4) of the clusters that bring
+    ``rest`` (V, 3) nearest to ``frames`` (F, V, 3).
 
-    Seeds are the farthest points of ``rest``; then clusters and motions by turns. ``nearness``: what the square of the
-    distance to a cluster's middle costs, of that to where its motion takes a vertex.
+    Seeds are points of ``rest`` far from each other; then clusters and motions are found by turns. ``nearness``: what
+    the squared distance from a cluster's middle costs, where the squared distance from ``frames`` costs 1.
     """
     points, middles = homogeneous(rest), rest[farthest_points(rest, count)]
     own = ((rest[:, None] - middles) ** 2).sum(axis=-1).argmin(axis=1)
-    for last in range(rounds, -1, -1):
+    for last in range(CLUSTER_ROUNDS, -1, -1):
         moves = np.stack([rigid_fit(rest[own == one], frames[:, own == one]) for one in range(count)], axis=1)
         if not last:
             break
@@ -173,13 +179,14 @@ def rigid_clusters(
         for bone in range(count):
             cost[:, bone] += ((points @ moves[:, bone].swapaxes(-1, -2) - frames) ** 2).sum(axis=-1).mean(axis=0)
         nearest = cost.argmin(axis=1)
-        kept = np.bincount(nearest, minlength=count) >= 3  # a bone of fewer has no motion
+        kept = np.bincount(nearest, minlength=count) >= 3  # Fewer than three vertices do not determine a motion.
         own = np.where(kept[nearest] & kept[own], nearest, own)
     return own, moves
 
 
 def farthest_points(points: np.ndarray, count: int) -> np.ndarray:
-    """Rows (``count``,) of ``points`` (N, 3): the farthest from the mean, then each the farthest from those before."""
+    """Returns the indices (``count``,) of ``points`` (N, 3) that lie far from each other: the farthest from the mean,
+    then each the farthest from those before."""
     rows = [int(((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax())]
     near = np.full(len(points), np.inf)
     while len(rows) < count:

@@ -1,4 +1,4 @@
-"""A character in the T-pose of the standard body: its surface there, its joints, and whose part each vertex is.
+"""A character in the T-pose of the standard body: its surface, its joints, and which joints move each vertex.
 
 The alignment A of ``drape.motion.alignment`` brings the T-pose onto the character's rest pose, joint by joint. Its
 inverse moves the surface: with p the joints at rest and p' those of the T-pose, a vertex x with the joints' weights w
@@ -17,16 +17,17 @@ from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from drape.garment.registration import UNIT_SCALES
 from drape.motion.rig_poses import Rig
 
-HEIGHTS_M = (1.0, 2.3)  # of characters that are taken as they are
-ADULT_HEIGHT_M = 1.7  # of what is no person's height in any unit
+HEIGHTS_M = (1.0, 2.3)  # Characters of these heights are taken as they are.
+ADULT_HEIGHT_M = 1.7  # A character that is no person's height in any unit is made as high as this.
 
 
 @dataclass(frozen=True, eq=False)
 class TPose:
-    """A character in T-pose, y up, facing +z, the lowest point of its skin at 0.
+    """A character in T-pose, y up, facing +z, its pelvis at x = z = 0 and the lowest point of its skin at y = 0.
 
-    ``vertices`` [m] (V, 3), ``faces`` (F, 3), ``weights`` (V, 24) of the joints; ``joints`` [m] (24, 3), NaN where the
-    character has none; ``scale`` its unit in metres; ``height_m`` of what is skinned.
+    Its surface has ``vertices`` [m] (V, 3), ``faces`` (F, 3) and ``weights`` (V, 24) on SMPL's joints. ``joints`` [m]
+    (24, 3) are NaN where the character has none. ``scale``: metres per unit of its file. ``height_m``: that of its
+    skinned surface.
     """
 
     vertices: np.ndarray
@@ -37,12 +38,12 @@ class TPose:
     height_m: float
 
     def only(self, chosen: np.ndarray) -> TPose:
-        """The pose with no other faces than those that are ``chosen`` (F,)."""
+        """Returns the pose with the faces ``chosen`` (F,) bool alone; it keeps all vertices."""
         return replace(self, faces=self.faces[chosen])
 
 
-def t_posed(character: Character, rig: Rig) -> TPose:
-    """``character``, whose ``rig`` is known, in T-pose."""
+def to_t_pose(character: Character, rig: Rig) -> TPose:
+    """Returns ``character`` in T-pose. ``rig`` says which of its nodes are its joints."""
     undone = np.swapaxes(rig.alignment, -1, -2)
     number = {rig.sources[name]: joint for joint, name in enumerate(JOINT_NAMES) if name in rig.sources}
     owner = np.zeros(len(character.names), dtype=np.int64)

@@ -19,15 +19,16 @@ from drape.geometry import meshes
 from drape.geometry.closest import closest_point, nearest_vertices
 
 BAND_M, BELOW_M = 0.2, 0.06
-OFF_SKIN_M = 0.001  # nearer to the skin than trousers are
+OFF_SKIN_M = 0.001  # A tucked top lies nearer to the skin than trousers do.
 
 
 class TuckedTop(NamedTuple):
-    """A top of a character's own, drawn in to the skin: ``rows`` (n,), the character's faces that it is made of,
-    ``vertices`` [m] (V, 3), ``faces`` (n, 3) of these, and ``weights`` (V, 24).
+    """A top of a character's own that is drawn in to the skin, as a mesh of its own.
 
-    ``off`` (F,) bool: the character's faces that are not drawn, since they are these or lie below them. ``hidden``
-    (Fb,) bool: faces of its bare body that are not drawn.
+    ``rows`` (n,) are the indices of the character's faces that it is made of. Its mesh has ``vertices`` [m] (V, 3),
+    ``faces`` (n, 3) and ``weights`` (V, 24), in the frame of the character's body. ``off`` (F,) bool are the
+    character's faces that are not drawn, since they are the top's or lie below it. ``hidden`` (Fb,) bool are the faces
+    of its bare body that lie below.
     """
 
     rows: np.ndarray
@@ -39,9 +40,10 @@ class TuckedTop(NamedTuple):
 
 
 def tucked_top(wearer: Wearer, tops: np.ndarray, cloth: Sequence[tuple[np.ndarray, np.ndarray]]) -> TuckedTop | None:
-    """Returns the top of ``wearer``, its faces ``tops`` (F,), tucked into ``cloth``; None where it ends above that.
+    """Returns the top of ``wearer`` with the faces ``tops`` (F,) bool, tucked into ``cloth``; None where it ends above
+    that.
 
-    ``cloth`` are the vertices [m] (V, 3) and faces (F, 3) of each garment of the lower half.
+    ``cloth`` has vertices [m] (V, 3) and faces (F, 3) of each garment of the lower half, in the T-pose.
     """
     waist, body = _waistband(cloth), wearer.body
     used, faces = np.unique(wearer.faces[tops], return_inverse=True)
@@ -58,7 +60,7 @@ def tucked_top(wearer: Wearer, tops: np.ndarray, cloth: Sequence[tuple[np.ndarra
     weights = share * wearer.weights[used] + (1.0 - share) * skin
     at = share * at + (1.0 - share) * (nearest.point + OFF_SKIN_M * out)
     moved = height[faces].min(axis=1) < BAND_M
-    upper = float(height[faces[moved]].max()) + MARGIN_M  # coarse faces reach far above the band
+    upper = float(height[faces[moved]].max()) + MARGIN_M  # Coarse faces reach far above the band.
     off, bare = wearer.attire.of_kinds(SKIN), np.ones(len(body.faces), dtype=bool)
     for there, vertices, own in ((off, wearer.vertices, wearer.faces), (bare, body.v_template, body.faces)):
         there &= _above(vertices, waist)[own].min(axis=1) < upper

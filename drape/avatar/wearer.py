@@ -24,44 +24,47 @@ from drape.avatar.body_fit import fit_to
 from drape.avatar.character import character_in
 from drape.avatar.face_colours import face_colours
 from drape.avatar.file_skeleton import FileRig, file_rig
-from drape.avatar.mapping import NAMES, mapped
-from drape.avatar.own_clothes import Halves, layers_of, shrunk
+from drape.avatar.mapping import NAMES, map_joints
+from drape.avatar.own_clothes import Halves, layers_of, shrink
 from drape.avatar.parts import PARTS, counted_vertices
 from drape.avatar.shoes import shoes_height
-from drape.avatar.t_pose import TPose, t_posed
+from drape.avatar.t_pose import TPose, to_t_pose
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.errors import ArtifactError, BodyError, DrapeError, MotionError, refusing
 from drape.files.atomic import whole_file
 from drape.files.gltf import GltfFile
-from drape.files.packed import UNREADABLE, packed, read_packed
+from drape.files.packed import UNREADABLE, pack, read_packed
 from drape.geometry.closest import closest_point
 from drape.geometry.skinning import skin_points
+from drape.motion.joint_names import ancestors
 from drape.motion.rig_poses import UNIT_TOLERANCE, Rig, poses_to_rig, rig_to_poses
 
 FORMAT_VERSION = 1
-FIT_VERSION = 5  # raised when a change here changes the bodies that come out
+FIT_VERSION = 5  # It is raised when a change here changes the bodies that come out.
 WORN_NOTHING = Attire((), np.zeros(0, dtype=np.int64), (0.8, 0.66, 0.56), np.zeros((0, 3)))
-FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's; more for one with a deeper trunk than ours
-UPPER = "upper"  # in a file: of the body with its own trousers on
-LIMBS_M = {"leg": (0.25, 1.4), "arm": (0.15, 1.0), "trunk": (0.2, 0.9)}  # lengths of characters that drape
-
-_ARRAYS = ("vertices", "faces", "weights")
+# A body whose median distance is larger is not the character's. A deeper trunk than ours raises the limit.
+FIT_LIMIT_MM = 25.0
+UPPER = "upper"  # In a file it names the body with the character's own trousers on.
+LIMBS_M = {"leg": (0.25, 1.4), "arm": (0.15, 1.0), "trunk": (0.2, 0.9)}  # Garments can be cut for these lengths.
 
 
 @dataclass(frozen=True, eq=False)
 class Wearer:
     """A character that wears garments.
 
-    ``body`` stands for it; ``rig`` has its nodes, called as VRM calls them in a VRM; ``nodes`` are their own names.
-    ``vertices`` [m] (V, 3) of its surface in T-pose in the frame of ``body``, ``faces`` (F, 3), ``weights`` (V, 24) of
-    the joints. ``scale``: metres per unit of its file. ``median_mm``, ``p95_mm``: how far its trunk and limbs are from
-    the body. ``vrm``: "0", "1" or "". ``found_by``, ``confidence`` and ``notes`` as in ``Mapped``. ``file``: what its
-    file is asked for later; of one that was stored ``load_file_rig`` reads it where it is wanted. ``attire``: what is
-    what on its surface; it has no parts where an earlier version stored the character. ``painted`` (F,): its faces
-    that are its body, with clothes that are one with it; None of one that was stored. ``standard``: what ``body`` is
-    made of. ``over``: the body with its own trousers on, where it is made already.
+    ``body`` is the body that stands for it, and ``standard`` the one that this is made of. ``over`` is ``body`` with
+    the character's own trousers on, None where it is not made yet.
+
+    ``rig`` has its nodes, called as VRM calls them in a VRM; ``nodes`` are their own names. ``found_by``,
+    ``confidence`` and ``notes`` are those of ``JointMapping``. ``vrm`` is the version "0" or "1" of a VRM, else "".
+
+    Its surface has ``vertices`` [m] (V, 3) in T-pose in the frame of ``body``, ``faces`` (F, 3) and ``weights`` (V, 24)
+    on SMPL's joints. ``median_mm`` and ``p95_mm`` are the median and the 95 % quantile of the distance of its trunk and
+    limbs from ``body``. ``scale``: metres per unit of its file. ``attire``: what its faces are; it has no parts where
+    an earlier version stored the character. ``file`` is the rig of its file, and ``painted`` (F,) bool are the faces of
+    its body and of clothes that are one with it; both are None of a character that was stored (``load_file_rig``).
     """
 
     name: str
@@ -87,27 +90,29 @@ class Wearer:
     painted: np.ndarray | None = None
 
     def body_under(self, halves: Halves) -> BodyModel:
-        """The body below garments that lie on these ``halves``."""
+        """Returns the body that garments on ``halves`` lie on: ``upper`` for the upper half alone, else ``body``."""
         return self.upper if halves == (True, False) else self.body
 
     @cached_property
     def upper(self) -> BodyModel:
-        """The body below garments for the upper half alone: that with its own trousers on, a second of work where none
-        is made yet; ``body`` where it has none."""
+        """The body below garments for the upper half alone: ``body`` with the character's own trousers on, or ``body``
+        itself where it has none. It is made where it is not there yet, which takes a second."""
         return upper_body(self) if self.over is None else self.over
 
     @cached_property
     def shoes_m(self) -> float:
-        """Where its shoes end, the height that ``shoes_height`` returns."""
+        """The height [m] in the frame of ``body`` at which its shoes end, minus infinity where none stands out
+        (``shoes_height``)."""
         return shoes_height(self.body, self.vertices, self.faces, self.weights)
 
     @property
     def joints(self) -> dict[str, str]:
-        """SMPL's joints -> the names of their nodes."""
+        """The names of its nodes by SMPL's names of joints."""
         return {joint: self.nodes[node] for joint, node in self.rig.sources.items()}
 
     def posed(self, poses: np.ndarray, trans: np.ndarray) -> np.ndarray:
-        """Its surface [m] (F, V, 3) in ``poses`` (F, 24, 3) [rad] of ours, its root moved by ``trans`` [m] (F, 3)."""
+        """Returns its surface [m] (F, V, 3) in the world, in SMPL ``poses`` (F, 24, 3) [rad] with the root displaced by
+        ``trans`` [m] (F, 3)."""
         return skin_points(
             np.broadcast_to(self.vertices, (len(poses), *self.vertices.shape)),
             self.weights,
@@ -117,11 +122,11 @@ class Wearer:
     def from_rig(
         self, quaternions: Sequence[object] | np.ndarray, places: Sequence[object] | np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Our poses (F, 24, 3) [rad] and translations [m] (F, 3) for local ``quaternions`` (F, N, 4), xyzw, of its
-        nodes.
+        """Returns SMPL poses (F, 24, 3) [rad] and root translations [m] (F, 3) for the local rotations ``quaternions``
+        (F, N, 4), xyzw, of its N nodes.
 
-        ``places`` [m] (F, 3): where the node of the pelvis is, at rest where None. What is draped then lies in the
-        world of the rig, in metres. Raises ``MotionError`` for what are no unit quaternions of its nodes.
+        ``places`` [m] (F, 3): where the node of the pelvis is in the world; None: at rest. What is draped then lies in
+        the world of the rig, in metres. Raises ``MotionError`` for what are no unit quaternions of its nodes.
         """
         xyzw = rotations(quaternions, len(self.nodes))
         rows, rig = self._read_nodes
@@ -136,28 +141,27 @@ class Wearer:
         rig = self.rig
         rows = np.zeros(len(self.nodes), dtype=bool)
         for node in rig.sources.values():
-            while node >= 0 and not rows[node]:
-                rows[node] = True
-                node = rig.parents[node]
+            rows[ancestors(rig.parents, node)] = True
         place = np.cumsum(rows) - 1
         parents = [
             -1 if above < 0 else int(place[above]) for above, read in zip(rig.parents, rows, strict=True) if read
         ]
-        told = {joint: int(place[node]) for joint, node in rig.sources.items()}
+        nodes = {joint: int(place[node]) for joint, node in rig.sources.items()}
         names = [name for name, read in zip(rig.names, rows, strict=True) if read]
         less = replace(
-            rig, names=names, parents=parents, told=told,
+            rig, names=names, parents=parents, nodes=nodes,
             rest_rotations=rig.rest_rotations[rows], rest_translations=rig.rest_translations[rows],
         )  # fmt: skip
         return np.flatnonzero(rows), less
 
     def to_rig(self, poses: np.ndarray, trans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The inverse of ``from_rig``: local quaternions (F, N, 4), xyzw, of its nodes and places [m] (F, 3) of the
-        pelvis's for our ``poses`` (F, 24, 3) [rad] and ``trans`` [m] (F, 3)."""
+        """Returns the local rotations (F, N, 4), unit quaternions xyzw, of its N nodes, and the positions [m] (F, 3) of
+        the node of the pelvis, for SMPL ``poses`` (F, 24, 3) [rad] and root translations ``trans`` [m] (F, 3): the
+        inverse of ``from_rig``."""
         return poses_to_rig(self.rig, poses)[..., [1, 2, 3, 0]], trans + self.body.joints_template[0]
 
     def file_name(self) -> str:
-        """The file that ``save_wearer`` writes."""
+        """Returns the name of the file that ``save_wearer`` writes: the name and the first 16 digits of the digest."""
         return f"{self.name}-{self.digest[:16]}.npz"
 
 
@@ -166,14 +170,15 @@ def read_wearer(
     *,
     name: str,
     body: BodyModel | None = None,
-    told: Mapping[str, str] | None = None,
+    joints: Mapping[str, str] | None = None,
     kinds: Mapping[str, str] | None = None,
     begun: Callable[[str], None] | None = None,
 ) -> Wearer:
-    """The wearer in the bytes of a GLB or VRM file, for garments of ``body``, the standard one by default.
+    """Returns the wearer in the bytes of a GLB or VRM file, for garments of ``body``, the standard one by default.
 
-    ``told`` as in ``mapped``, ``kinds`` as in ``attire_of``; ``begun`` gets each stage as it begins: read, map, fit.
-    Raises ``MeshError``, ``MotionError``, ``BodyError`` or ``NotFound`` for what is no person with skeleton and skin.
+    ``joints`` are those of ``map_joints``, and ``kinds`` the ``corrections`` of ``attire_of``. ``begun`` is called with
+    the name of each stage as it begins: "read", "map", "fit". Raises ``MeshError``, ``MotionError``, ``BodyError`` or
+    ``NotFound`` for what is no person with skeleton and skin.
     """
     begins = begun or (lambda stage: None)
     begins("read")
@@ -182,16 +187,16 @@ def read_wearer(
     character = character_in(file)
     whole = file_rig(file, character)
     begins("map")
-    match = mapped(character.skinned, body, told=told, label=name)
+    match = map_joints(character.skinned, body, joints=joints, label=name)
     rig = match.rig
-    pose = t_posed(character, rig)
+    pose = to_t_pose(character, rig)
     _check_limbs(pose, rig, name)
     assert character.triangle is not None
     colours = face_colours(file, character.primitives)[character.triangle]
-    attire = attire_of(file, character, pose, colours, told=kinds)
+    attire = attire_of(file, character, pose, colours, corrections=kinds)
     begins("fit")
     layers = layers_of(attire, pose)
-    seen = shrunk(pose, layers.hollow).only(layers.body | layers.hollow)
+    seen = shrink(pose, layers.hollow).only(layers.body | layers.hollow)
     fit = fit_to(seen, body)
     shaped = avatar_body(fit, seen, body, name=name, covered=pose.only(layers.felt))
     root = JOINT_NAMES.index("pelvis")
@@ -199,7 +204,7 @@ def read_wearer(
     distances_mm = 1e3 * closest_point(surface[counted_vertices(seen)], shaped.v_template, shaped.faces).distance
     limit_mm = FIT_LIMIT_MM * max(1.0, _depth_m(shaped) / _depth_m(body))
     median_mm, p95_mm = _checked_fit(distances_mm, limit_mm, name, match.notes)
-    made_of = json.dumps([FIT_VERSION, body.digest, dict(told or {}), dict(kinds or {})])
+    made_of = json.dumps([FIT_VERSION, body.digest, dict(joints or {}), dict(kinds or {})])
     digest = hashlib.sha256(made_of.encode() + payload).hexdigest()
     return Wearer(
         name, digest, body, shaped, rig, character.names, surface, pose.faces, pose.weights, pose.scale,
@@ -209,10 +214,10 @@ def read_wearer(
 
 
 def upper_body(wearer: Wearer) -> BodyModel:
-    """Returns the body of ``wearer`` brought out to the trousers or skirt that it came in; its ``body`` where these are
-    none, or are skin."""
+    """Returns the body of ``wearer`` brought out to the trousers or skirt that it came in; its ``body`` itself where it
+    has none, or where they are painted on its skin."""
     stored = (array.astype(np.float32).astype(np.float64) for array in (wearer.vertices, wearer.weights))
-    vertices, weights = stored  # the same before it is stored and after
+    vertices, weights = stored  # They are the same before the character is stored and after.
     pose = TPose(vertices, wearer.faces, weights, wearer.body.joints_template, wearer.scale, wearer.height_m)
     lower = layers_of(wearer.attire, pose).lower
     return enclosing_body(wearer.body, pose.only(lower), wearer.standard) if lower.any() else wearer.body
@@ -221,7 +226,7 @@ def upper_body(wearer: Wearer) -> BodyModel:
 def _checked_fit(distances_mm: np.ndarray, limit_mm: float, name: str, notes: Sequence[str]) -> tuple[float, float]:
     """Median and 95 % of the distances [mm] of a character from its body; refuses those of another body."""
     median_mm, p95_mm = float(np.median(distances_mm)), float(np.quantile(distances_mm, 0.95))
-    if not median_mm <= limit_mm:  # none, where nothing of it is trunk or limb
+    if not median_mm <= limit_mm:  # The median is NaN where nothing of it is trunk or limb.
         cure = " ".join([*(f"{note}." for note in notes), "Send a character with a body in a T- or A-pose."])
         got = f"{median_mm:.0f} mm"
         raise BodyError(name, expected=f"a body that ours fits to {limit_mm:.0f} mm", got=got, cure=cure)
@@ -255,11 +260,11 @@ def _check_limbs(pose: TPose, rig: Rig, name: str) -> None:
 
 
 def rotations(quaternions: Sequence[object] | np.ndarray, nodes: int) -> np.ndarray:
-    """Returns ``quaternions`` as an array (F, N, 4); refuses another number of ``nodes`` N, and quaternions whose
-    length is not one."""
+    """Returns ``quaternions`` as a float64 array (F, N, 4). Raises ``MotionError`` for another number of ``nodes`` N,
+    and for quaternions whose length is not one."""
     try:
         turns = np.asarray(quaternions, dtype=np.float64)
-    except ValueError:  # frames of different lengths
+    except ValueError:  # Frames differ in length.
         turns = np.zeros(0)
     if turns.ndim != 3 or turns.shape[1:] != (nodes, 4):
         raise MotionError(
@@ -269,14 +274,14 @@ def rotations(quaternions: Sequence[object] | np.ndarray, nodes: int) -> np.ndar
             cure="GET /avatars/ID tells the nodes in their order.",
         )
     lengths = np.linalg.norm(turns, axis=-1)
-    if not (np.abs(lengths - 1.0) <= UNIT_TOLERANCE).all():  # which also catches NaN
+    if not (np.abs(lengths - 1.0) <= UNIT_TOLERANCE).all():  # The negation also catches NaN.
         got = f"lengths from {lengths.min():.4g} to {lengths.max():.4g}"
         raise MotionError("rig_poses", expected="unit quaternions xyzw", got=got, cure="Send rotations without scale.")
     return turns
 
 
 def save_wearer(wearer: Wearer, folder: Path) -> Path:
-    """Writes the file of ``wearer`` into ``folder``, whole or not at all, and returns its path."""
+    """Writes the file of ``wearer`` into ``folder``, whole or not at all. Returns its path."""
     rig, body = wearer.rig, wearer.body
     over = vars(wearer).get("upper", wearer.over)
     over = None if over is body else over
@@ -306,7 +311,7 @@ def save_wearer(wearer: Wearer, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / wearer.file_name()
     with whole_file(path) as file:
-        file.write(packed(arrays, quick=True))
+        file.write(pack(arrays, quick=True))
     return path
 
 
@@ -330,7 +335,8 @@ def _stored_body(key: str, digest: str, name: str, arrays: Mapping[str, np.ndarr
 
 
 def load_wearer(path: Path, body: BodyModel) -> Wearer:
-    """The wearer stored at ``path``, for garments of ``body``; raises ``ArtifactError`` for another or damaged file."""
+    """Returns the wearer stored at ``path``, for garments of ``body``. Raises ``ArtifactError`` for a damaged file, and
+    for one of another version or body."""
     try:
         header, arrays = read_packed(path)
         if header["format_version"] != FORMAT_VERSION or header["standard_digest"] != body.digest:
@@ -344,12 +350,12 @@ def load_wearer(path: Path, body: BodyModel) -> Wearer:
         )  # fmt: skip
         figures = [header[key] for key in ("scale", "height_m", "median_mm", "p95_mm", "vrm")]
         figures += [header.get("found_by", NAMES), header.get("confidence", 1.0), tuple(header.get("notes", ()))]
-        surface = [arrays[key] for key in _ARRAYS]
+        surface = [arrays[key] for key in ("vertices", "faces", "weights")]
         attire = WORN_NOTHING
         if header.get("parts"):
             parts = tuple(AttirePart(*one) for one in header["parts"])
             own = arrays["part"].astype(np.int64)
-            colours = arrays.get("colours", np.full((len(own), 3), 160)) / 255.0  # older files have none
+            colours = arrays.get("colours", np.full((len(own), 3), 160)) / 255.0  # Older files have none.
             attire = Attire(parts, own, tuple(header["skin_colour"]), colours)
         nodes = tuple(header["nodes"])
         return Wearer(
@@ -362,13 +368,13 @@ def load_wearer(path: Path, body: BodyModel) -> Wearer:
 
 
 def wearer_name(text: str) -> str:
-    """``text`` as an avatar's name: lower-case letters, digits and underscores."""
+    """Returns ``text`` as an avatar's name: at most 64 lower-case letters, digits and underscores; "avatar" if none."""
     return re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:64] or "avatar"
 
 
 @refusing
 def main(arguments: list[str] | None = None) -> int:
-    """The command line; 0 when the character can wear garments, 2 when it is refused."""
+    """Runs the command line. Returns its exit status: 0 if the character can wear garments, 2 if it is refused."""
     parser = argparse.ArgumentParser(prog="python -m drape.avatar.wearer", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("file", type=Path, help="GLB or VRM")
     parser.add_argument("--out", type=Path, help="folder of its file; without it nothing is stored")

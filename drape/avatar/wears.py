@@ -1,7 +1,7 @@
-"""Whether a character can wear a garment: told before anything is cut, by its proportions alone.
+"""Whether a character can wear a garment, by the proportions of its legs, before any cloth is cut.
 
-Cloth is cut for any body; what it cannot do is hang from limbs that are hardly longer than they are thick, as those of
-figures of games are. A tube of cloth round such a limb is wider than long and falls off its end.
+Cloth is cut for any body, but it cannot hang from limbs that are hardly longer than they are thick, as those of figures
+of games are. A tube of cloth round such a limb is wider than long and falls off its end.
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ from drape.garment.avatars import Avatar
 from drape.garment.cache import Garment
 from drape.garment.rest_pose import skirt_blend
 
-THICKEST = 0.45  # of the length of a leg: persons have 0.1, stylised children 0.2, figures of games 0.53 and more
-STOUTEST = 0.55  # skirts, dresses and shorts stand off legs that are thicker, and are trodden on
+# Thickness of legs over their length: persons have 0.1, stylised children 0.2, figures of games 0.53 and more.
+THICKEST = 0.45
+STOUTEST = 0.55  # Skirts, dresses and shorts stand off legs that are thicker, and are trodden on.
 HIP, KNEE, ANKLE = (JOINT_NAMES.index(f"left_{joint}") for joint in ("hip", "knee", "ankle"))
-LEAST_SHARE = 0.1  # of a garment's vertices at the shins, to go round them
+LEAST_SHARE = 0.1  # A garment goes round the shins if a larger share of its vertices is there.
 
 
 class Reach(NamedTuple):
@@ -32,7 +33,7 @@ class Reach(NamedTuple):
 
 
 def reach_of(garment: Garment, body: BodyModel) -> Reach:
-    """The reach of a ``garment`` of the standard ``body``."""
+    """Returns where ``garment``, which is made for the standard ``body``, lies on it."""
     nearest = skin_next_to(garment, body)
     near = BONES[body.weights.argmax(axis=1)][nearest]
     legs = (near == "knee").mean() > LEAST_SHARE
@@ -44,8 +45,8 @@ def reach_of(garment: Garment, body: BodyModel) -> Reach:
 
 
 def legs_thickness(body: BodyModel) -> float:
-    """How thick the shin of ``body`` is, twice the median distance of its skin from the bone, over the length of the
-    leg; 0 where it has none."""
+    """Returns how thick the legs of ``body`` are for their length: twice the median distance of a shin's skin from its
+    bone, over the length of the leg. It is 0 where the body has no skin there."""
     joints = body.joints_template
     along, length = joints[ANKLE] - joints[KNEE], np.linalg.norm(joints[ANKLE] - joints[KNEE])
     own = body.v_template[body.weights.argmax(axis=1) == KNEE] - joints[KNEE]
@@ -57,8 +58,8 @@ def legs_thickness(body: BodyModel) -> float:
 
 
 def why_not(body: BodyModel, reach: Reach, *, garment: str) -> BodyError | None:
-    """Returns the refusal of a ``garment`` of this ``reach`` for ``body``, which is laid on a character; None if the
-    character can wear it."""
+    """Returns the refusal of the garment called ``garment``, which has this ``reach``, for a character whose ``body``
+    this is; None if the character can wear it."""
     limit = THICKEST if reach.legs else STOUTEST
     thickness = legs_thickness(body) if reach.legs or reach.halves.lower else 0.0
     if thickness <= limit:

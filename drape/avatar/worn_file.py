@@ -32,7 +32,7 @@ from drape.files.gltf_compressed import DRACO
 from drape.files.gltf_json import Primitive
 
 SPRINGS = "VRMC_springBone"
-PLAIN = {  # what VRM 0 says of a material that is glTF's own
+PLAIN = {  # VRM 0 says this of a material that is glTF's own.
     "shader": "VRM_USE_GLTFSHADER", "renderQueue": 2000, "floatProperties": {}, "vectorProperties": {},
     "textureProperties": {}, "keywordMap": {}, "tagMap": {},
 }  # fmt: skip
@@ -41,8 +41,12 @@ PLAIN = {  # what VRM 0 says of a material that is glTF's own
 def worn_glb(
     payload: bytes, layers: Sequence[Jointed], draped: Sequence[np.ndarray], motion: RigMotion, scale: float
 ) -> GlbFile:
-    """Returns the character's file ``payload`` with the garments ``layers`` in it, over the clip ``motion``. Each is
-    ``draped`` [m] (F, V, 3); ``scale``: metres per unit of the file."""
+    """Returns the character's file ``payload`` with the garments ``layers`` in it, on joints of their own, and an
+    animation of ``motion``.
+
+    ``draped`` are the vertices [m] (F, V, 3) of each garment in the world. ``scale``: metres per unit of the file.
+    Raises ``InputError`` for a file that is not one GLB with one buffer.
+    """
     file, nodes = _opened(payload)
     add_clip(file, layers, draped, motion, nodes, scale)
     _complete(file)
@@ -50,7 +54,8 @@ def worn_glb(
 
 
 def worn_vrm(payload: bytes, layers: Sequence[tuple[Jointed, JointSprings]]) -> GlbFile:
-    """The character's VRM ``payload`` with garments whose joints are springs. Refuses (``InputError``) a plain GLB."""
+    """Returns the character's VRM ``payload`` with the garments ``layers`` in it, whose own joints are springs. Raises
+    ``InputError`` for a GLB that is no VRM."""
     file, nodes = _opened(payload)
     extensions = file.json.get("extensions", {})
     if not {"VRM", "VRMC_vrm"} & extensions.keys():
@@ -73,8 +78,8 @@ def worn_vrm(payload: bytes, layers: Sequence[tuple[Jointed, JointSprings]]) -> 
 
 
 def worn_on_rig(payload: bytes, layers: Sequence[Dressed], clip: RigClip, wearer: Wearer, rig: FileRig) -> GlbFile:
-    """Returns the character's file ``payload``, whose rig is ``rig``, with the garments ``layers`` and an animation of
-    ``clip``, in each frame of which a morph target of each garment is its drape."""
+    """Returns the character's file ``payload``, whose rig is ``rig``, with the garments ``layers`` in it and an
+    animation of ``clip``. Each garment has a morph target for each frame, which is its drape."""
     file, nodes = _opened(payload)
     add_dressed(file, nodes, layers, clip, wearer, rig)
     _complete(file)
@@ -82,8 +87,8 @@ def worn_on_rig(payload: bytes, layers: Sequence[Dressed], clip: RigClip, wearer
 
 
 def undressed_file(payload: bytes, wearer: Wearer, rig: FileRig, left: Undressed) -> bytes:
-    """Returns the file ``payload`` of ``wearer``, which has ``rig``, without the faces that ``left`` says are off, and
-    with what is seen there instead.
+    """Returns the bytes of the character's file ``payload`` without the faces that ``left`` says are off, and with what
+    is seen instead. ``rig`` is that of the file of ``wearer``.
 
     Meshes that lose faces keep their numbers, so that blend shapes and the like still find them.
     """
@@ -116,7 +121,7 @@ def _without(file: GlbFile, read: GltfFile, primitive: Primitive, held: dict[str
     """Takes the triangles that are ``off`` (F,) out of a ``primitive``, which is ``held`` in ``file``; of one without
     others a triangle without area stays, for no primitive may be empty."""
     points, faces = triangles_of(read, primitive)
-    if held.get("extensions", {}).pop(DRACO, None) is not None:  # what is packed has triangles of its own
+    if held.get("extensions", {}).pop(DRACO, None) is not None:  # Packed geometry has triangles of its own.
         for name, number in primitive.attributes.items():
             rows = read.array(number)
             rows = rows.astype(np.float32) if rows.dtype == np.float64 else rows

@@ -29,7 +29,7 @@ from drape.folders import ASSETS
 BODIES_DIR = ASSETS / "bodies"
 DEFAULT_BODY = "anny_default"
 SHAPE_LIMIT = 10
-POSE_COUNT = 9 * (JOINT_COUNT - 1)  # entries of the local rotations that pose blend shapes read
+POSE_COUNT = 9 * (JOINT_COUNT - 1)  # Pose blend shapes read so many entries of the local rotations.
 REQUIRED = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f")
 
 
@@ -43,7 +43,9 @@ def save_body(
     f: np.ndarray,
     about: dict[str, Any],
 ) -> None:
-    """Writes ``stem.npz`` and ``stem.json``, each of which a reader sees whole; lengths in metres."""
+    """Writes the body's arrays to ``stem.npz``, lengths in metres, and ``about`` with the file's sha256 to
+    ``stem.json``. A reader sees each file whole. ``v_template`` (V, 3), ``shapedirs`` (V, 3, S), ``J_regressor``
+    (24, V), ``weights`` (V, 24), ``f`` (F, 3)."""
     stem.parent.mkdir(parents=True, exist_ok=True)
     regressor = scipy.sparse.csr_matrix(J_regressor)
     buffer = io.BytesIO()
@@ -65,16 +67,16 @@ def save_body(
 
 
 def list_bodies(folder: Path = BODIES_DIR) -> list[str]:
-    """Returns the names of the bodies in ``folder``. Files without a digest, such as the table of avatars, are no
-    bodies."""
+    """Returns the sorted names of the bodies in ``folder``. JSON files without a digest, such as the table of avatars,
+    are no bodies."""
     return sorted(path.stem for path in folder.glob("*.json") if "sha256" in json.loads(path.read_text("utf-8")))
 
 
 def load_body(source: str | Path = DEFAULT_BODY) -> BodyModel:
-    """The body named or stored at ``source``: a shipped name, or an SMPL-schema ``.npz`` or ``.pkl``.
+    """Returns the body at ``source``: the name of a shipped one, or an SMPL-schema file ``.npz`` or ``.pkl``.
 
-    Raises ``NotFound`` for an unknown name, ``ArtifactError`` when a shipped
-    file does not match its hash, ``BodyError`` when the contents are not a body.
+    Raises ``NotFound`` for an unknown name, ``ArtifactError`` when a shipped file does not match its hash, and
+    ``BodyError`` when the contents are not a body.
     """
     path = Path(source)
     if path.suffix not in (".npz", ".pkl"):
@@ -109,7 +111,8 @@ def _recorded_digest(record: Path) -> str:
 
 
 def body_from_arrays(arrays: dict[str, np.ndarray], *, name: str, digest: str) -> BodyModel:
-    """A checked ``BodyModel`` from SMPL-schema arrays."""
+    """Returns the body of SMPL-schema ``arrays``, in float64 with at most ten shapes. Raises ``BodyError`` where they
+    do not fit together."""
     missing = [key for key in REQUIRED if key not in arrays]
     if missing:
         raise _fault(name, f"the arrays {', '.join(REQUIRED)}", f"no {', '.join(missing)}")
@@ -210,7 +213,7 @@ class _ArrayUnpickler(pickle.Unpickler):
             ("builtins", "object"),
             ("__builtin__", "set"),  # chumpy keeps the names of its stale variables in one
             ("builtins", "set"),
-            ("numpy.core.numeric", "_frombuffer"),  # arrays of protocol 5
+            ("numpy.core.numeric", "_frombuffer"),  # Pickles of protocol 5 make arrays by it.
             ("numpy._core.numeric", "_frombuffer"),
         }
     )
@@ -219,11 +222,11 @@ class _ArrayUnpickler(pickle.Unpickler):
         if module.startswith("chumpy"):
             return _ChumpyShell  # SMPL's released pickles wrap some arrays in chumpy objects
         if (module, name) == ("_codecs", "encode"):
-            return _latin1_bytes  # how Python 3 writes bytes for protocol 2
+            return _latin1_bytes  # Python 3 writes bytes so for protocol 2.
         if (module, name) not in self.ALLOWED:
             raise pickle.UnpicklingError(f"the file asks for {module}.{name}")
         if module.startswith("scipy.sparse."):
-            module = "scipy.sparse"  # the old submodules end with SciPy 2
+            module = "scipy.sparse"  # The old submodules end with SciPy 2.
         return super().find_class(module.replace("copy_reg", "copyreg").replace("__builtin__", "builtins"), name)
 
 

@@ -26,8 +26,8 @@ STILL = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Kinematics:
-    """Posed bodies in float64: ``static`` descriptors (..., 24, 9), ``joints`` [m] in the world (..., 24, 3),
-    bone ``rotations`` (..., 24, 3, 3)."""
+    """Posed bodies in float64: ``static`` descriptors (..., 24, 9) of ``static_features``, positions ``joints`` [m]
+    (..., 24, 3) in the world, and world ``rotations`` (..., 24, 3, 3) of the bones."""
 
     static: np.ndarray
     joints: np.ndarray
@@ -51,9 +51,10 @@ def joint_rotations(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def static_features(local_rotations: Array, world_rotations: Array) -> Array:
-    """Static descriptors (..., 24, 9): 6D local rotation, gravity [unit] in the joint's frame.
+    """Returns the static descriptors (..., 24, 9) of posed joints: the 6D form of the rotation from the parent, then
+    the unit direction of gravity in the joint's frame. The root's 6D form is that of no rotation.
 
-    ``local_rotations`` and ``world_rotations`` are (..., 24, 3, 3).
+    ``local_rotations``, from the parent, and ``world_rotations`` are (..., 24, 3, 3).
     """
     xp = namespace(local_rotations)
     sixd = matrix_to_sixd(local_rotations)
@@ -71,11 +72,13 @@ def dynamic_features(
     dt_s: Array,
     dt_before_s: Array | None = None,
 ) -> Array:
-    """Dynamic descriptors (..., 24, 12): rate of the static ones [1/s], joint acceleration [m/s^2] in its frame.
+    """Returns the dynamic descriptors (..., 24, 12) of joints: the rate of the static ones [1/s], then the acceleration
+    [m/s^2] in the joint's frame. They are zero for a still body.
 
-    ``joints`` are world joint positions [m] (..., 24, 3) of this frame, the one before and the one
-    before that; ``dt_s`` is the time since the frame before, ``dt_before_s`` that between the two
-    others (the same if left out). Both broadcast over (..., 24, 1). Zero for a still body.
+    ``static_now`` and ``static_before`` are (..., 24, 9). ``joints`` are world positions [m] (..., 24, 3) in this
+    frame, the one before and the one before that. ``world_rotations`` (..., 24, 3, 3) are those of this frame. ``dt_s``
+    is the time since the frame before, ``dt_before_s`` that between the two others (the same if left out); both
+    broadcast over (..., 24, 1).
     """
     xp = namespace(static_now)
     dt_before_s = dt_s if dt_before_s is None else dt_before_s
@@ -89,9 +92,10 @@ def dynamic_features(
 def motion_features(
     now: Kinematics, before: Kinematics, earlier: Kinematics, dt_s: np.ndarray, dt_before_s: np.ndarray
 ) -> np.ndarray:
-    """Dynamic descriptors (..., 24, 12) of bodies that were ``before`` and ``earlier`` the times (...) [s] ago.
+    """Returns the dynamic descriptors (..., 24, 12), as ``dynamic_features`` makes them, of the bodies ``now``. Numbers
+    smaller than ``STILL`` are zero.
 
-    Numbers smaller than ``STILL`` become zero.
+    ``before`` are these bodies ``dt_s`` (...) [s] ago, and ``earlier`` ``dt_before_s`` (...) [s] before that.
     """
     dt_s, dt_before_s = (np.asarray(dt, dtype=np.float64)[..., None, None] for dt in (dt_s, dt_before_s))
     joints = (now.joints, before.joints, earlier.joints)
@@ -100,5 +104,5 @@ def motion_features(
 
 
 def feature_count() -> int:
-    """Returns how many numbers the static descriptors of a body are."""
+    """Returns the number of a body's static descriptors, all joints together."""
     return JOINT_COUNT * STATIC_PER_JOINT

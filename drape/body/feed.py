@@ -11,11 +11,12 @@ from drape.engine.packer import Recorded
 
 @dataclass(frozen=True, eq=False)
 class BodyFeed(Recorded):
-    """The numbers that pose a body.
+    """The numbers that pose a body, as the engine reads them.
 
-    ``local`` quaternions (24, 4), joints at ``rest`` [m] (24, 3), shape ``betas``, the ``motion`` that is added to the
-    code of the pose, and the skin on its bones: ``skin_rows`` (P, n, 4, 144), empty where the skin is given,
-    ``skin_bones`` (P, n), and ``skin_counts`` (P,): how many of these count.
+    ``local`` (24, 4) are rotations from the parent, quaternions wxyz, ``rest`` [m] (24, 3) the joints at rest, and
+    ``betas`` the shape. ``motion`` is added to the code of the pose. The skin is P parts of 48 samples: ``skin_rows``
+    (P, n, 4, 144) are the coefficients of points and of two tangents on the n bones ``skin_bones`` (P, n), of which the
+    first ``skin_counts`` (P,) count. ``skin_rows`` is empty where the posed skin is given.
     """
 
     local: np.ndarray

@@ -15,10 +15,11 @@ from drape.geometry import meshes
 
 
 def measure_slopes(body: BodyModel, betas: np.ndarray) -> np.ndarray:
-    """Returns the derivatives [m per unit of betas] (8, S) of the ``Measures`` of ``body``, in their order, at the
-    shape ``betas`` (S,)."""
+    """Returns the derivatives (8, S) of the ``Measures`` of ``body``, in their order, by its shape coefficients at the
+    shape ``betas`` (S,): [m] and, of the weight, [kg] per standard deviation."""
     place, vertices, moved = landmarks(body), body.rest_vertices(betas), body.shapedirs
-    by_level = np.array([place.levels(moved[..., k]) for k in range(body.shape_count)]).T  # they are linear in vertices
+    # Levels are linear in vertices.
+    by_level = np.array([place.levels(moved[..., k]) for k in range(body.shape_count)]).T
     girths = zip(place.levels(vertices), by_level, strict=True)
     chest, waist, hip = (_girth_slopes(vertices, moved, place.trunk, y, by) for y, by in girths)
     crown, soles = moved[vertices[:, 1].argmax(), 1], moved[vertices[:, 1].argmin(), 1]
@@ -42,7 +43,7 @@ def _girth_slopes(
     """Derivatives (S,) of ``section_girth`` where vertices (V, 3) move by ``moved`` (V, 3, S), the level by
     ``by_level`` (S,)."""
     tape = section_tape(vertices, edges, y)
-    corner = tape.hull.vertices  # around it, in turn
+    corner = tape.hull.vertices  # Corners come in turn, around the hull.
     share, (first, second) = tape.share[corner, None], tape.edge[corner].T
     edge, move, turn = vertices[second] - vertices[first], moved[first], moved[second] - moved[first]
     along = (by_level - move[:, 1] - share * turn[:, 1]) / edge[:, 1:2]

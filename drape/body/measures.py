@@ -31,11 +31,11 @@ from drape.errors import BodyError
 from drape.geometry import meshes
 from drape.geometry.sections import convex_hull
 
-DENSITY_KG_M3 = 985.0  # of quiet breathing; 945 after a deep breath, 1,060 without air in the lungs
+DENSITY_KG_M3 = 985.0  # Density in quiet breathing: 945 after a deep breath, 1,060 without air in the lungs.
 # Shares of the template's height: from the middle plane, within which a vertex counts as on it; and beside a shoulder
 # joint, within which the highest skin is right above it.
 MIDDLE_SHARE, ABOVE_SHARE = 0.003, 0.01
-LEVEL_COUNT = 60  # at which the template's waist is looked for
+LEVEL_COUNT = 60  # The template's waist is sought at so many heights.
 _ARMS = [i for i, name in enumerate(JOINT_NAMES) if name.split("_")[-1] in ("shoulder", "elbow", "wrist", "hand")]
 _PELVIS, _KNEE, _CHEST = (JOINT_NAMES.index(name) for name in ("pelvis", "left_knee", "spine3"))
 _SHOULDERS = [JOINT_NAMES.index(name) for name in ("left_shoulder", "right_shoulder")]
@@ -58,7 +58,7 @@ class Measures(NamedTuple):
 
 
 class SectionHeights(NamedTuple):
-    """Heights [m] of the sections, in the body's frame."""
+    """Heights [m] of the horizontal sections at chest, waist and hip, in the frame of the body at rest."""
 
     chest_m: float
     waist_m: float
@@ -66,8 +66,11 @@ class SectionHeights(NamedTuple):
 
 
 class Tape(NamedTuple):
-    """A tape around a level section: the crossed edges ``edge`` (n, 2), the ``share`` (n,) of each at which it is
-    crossed, and the ``hull`` of these points."""
+    """A tape around a horizontal section of a mesh.
+
+    ``edge`` (n, 2) are the edges that the section crosses, as vertices, and ``share`` (n,) in [0, 1] is where it
+    crosses them, from the first vertex to the second. ``hull`` is the convex hull of these points' x and z [m].
+    """
 
     edge: np.ndarray
     share: np.ndarray
@@ -78,8 +81,9 @@ class Tape(NamedTuple):
 class Landmarks:
     """Places of one body that measures are taken at.
 
-    ``chest``, ``seat``, ``crotch`` and ``shoulders`` (2,) are vertices, ``waist_share`` how far the waist lies on the
-    way from the level of the seat to that of the chest. ``trunk`` (E, 2) are all edges but those of the arms.
+    ``chest``, ``seat``, ``crotch`` and ``shoulders`` (2,) are indices of vertices. ``waist_share`` in [0, 1] is how far
+    the waist lies on the way from the height of the seat to that of the chest. ``trunk`` (E, 2) are all edges but those
+    of the arms.
     """
 
     chest: int
@@ -90,14 +94,15 @@ class Landmarks:
     trunk: np.ndarray
 
     def levels(self, vertices: np.ndarray) -> SectionHeights:
-        """The levels of a body at rest, linear in ``vertices`` [m] (V, 3)."""
+        """Returns the heights y [m] of the sections of the body with the rest ``vertices`` [m] (V, 3), in any of its
+        shapes. They are linear in ``vertices``."""
         chest, seat = float(vertices[self.chest, 1]), float(vertices[self.seat, 1])
         return SectionHeights(chest, seat + self.waist_share * (chest - seat), seat)
 
 
 @lru_cache(maxsize=8)
 def landmarks(body: BodyModel) -> Landmarks:
-    """The landmarks of ``body``; refuses (``BodyError``) one whose mesh does not have them."""
+    """Returns the landmarks of ``body``. Raises ``BodyError`` for one whose mesh does not have them."""
     template, joints = body.v_template, body.joints_template
     arms = body.weights[:, _ARMS].sum(axis=1)
     edges = meshes.unique_edges(body.faces)
@@ -124,16 +129,14 @@ def _extreme(values: np.ndarray, among: np.ndarray, name: str) -> int:
 
 
 def section_girth(vertices: np.ndarray, edges: np.ndarray, y: float) -> float:
-    """Returns the girth [m] of the section of ``edges`` (E, 2) at the height ``y`` [m]: the perimeter of its convex
-    hull. ``vertices`` are [m] (V, 3)."""
-    return float(section_tape(vertices, edges, y).hull.area)  # of a plane: its perimeter
+    """Returns the girth [m] of ``edges`` (E, 2) of ``vertices`` [m] (V, 3) at the height ``y`` [m]: the perimeter of
+    the convex hull of their section. Raises ``BodyError`` as ``section_tape`` does."""
+    return float(section_tape(vertices, edges, y).hull.area)  # SciPy calls a plane hull's perimeter its area.
 
 
 def section_tape(vertices: np.ndarray, edges: np.ndarray, y: float) -> Tape:
-    """The tape around ``edges`` (E, 2) of ``vertices`` [m] (V, 3) at the height ``y`` [m].
-
-    Refuses (``BodyError``) a level that nothing crosses.
-    """
+    """Returns the tape around ``edges`` (E, 2) of ``vertices`` [m] (V, 3) at the height ``y`` [m]. Raises ``BodyError``
+    for a height that no edge crosses."""
     above = vertices[:, 1] > y
     crossed = edges[above[edges[:, 0]] != above[edges[:, 1]]]
     low, high = vertices[crossed[:, 0]], vertices[crossed[:, 1]]
@@ -146,13 +149,15 @@ def section_tape(vertices: np.ndarray, edges: np.ndarray, y: float) -> Tape:
 
 
 def enclosed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """The volume [m^3] inside the closed surface ``faces`` (F, 3) of ``vertices`` [m] (V, 3), by Gauss's theorem."""
+    """Returns the volume [m^3] inside the closed surface ``faces`` (F, 3) of ``vertices`` [m] (V, 3), by Gauss's
+    theorem."""
     first, second, third = (vertices[faces[:, i]] for i in range(3))
     return float(np.einsum("fc,fc->", first, np.cross(second, third)) / 6.0)
 
 
 def measures(body: BodyModel, betas: np.ndarray | None = None) -> Measures:
-    """The measures of ``body`` in the shape ``betas`` (S,)."""
+    """Returns the measures of ``body`` at rest in the shape ``betas`` (S,), its mean shape by default. Raises
+    ``BodyError`` for a body without the landmarks."""
     place, vertices, joints = landmarks(body), body.rest_vertices(betas), body.rest_joints(betas)
     chest, waist, hip = (section_girth(vertices, place.trunk, level) for level in place.levels(vertices))
     soles = float(vertices[:, 1].min())

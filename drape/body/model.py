@@ -17,12 +17,13 @@ from drape.geometry.rotations import rotvec_to_matrix
 
 @dataclass(frozen=True, eq=False)
 class BodyModel:
-    """SMPL-schema body in its rest T-pose; lengths in metres, y up, facing +z.
+    """A body of SMPL's schema in its rest T-pose; lengths in metres, y up, facing +z.
 
-    ``v_template`` (V, 3); ``shapedirs`` (V, 3, S); ``regressor`` sparse (24, V);
-    ``weights`` (V, 24), rows sum to one; ``faces`` (F, 3); ``posedirs``
-    (V, 3, 207) or None. ``digest`` is the sha256 of the file it came from. A body that was laid on a character
-    has the ``standard_digest`` of the one that it was made of, whose topology it has.
+    ``v_template`` (V, 3) is its mean shape, and ``shapedirs`` (V, 3, S) are the displacements of each shape
+    coefficient. ``regressor`` (24, V), sparse, makes joints of vertices. ``weights`` (V, 24) are skinning weights,
+    whose rows sum to one, ``faces`` is (F, 3), and ``posedirs`` (V, 3, 207) or None. ``digest`` is the sha256 of the
+    file it came from. A body that was laid on a character has the ``standard_digest`` of the one that it was made of,
+    whose topology it has.
     """
 
     name: str
@@ -45,23 +46,23 @@ class BodyModel:
 
     @cached_property
     def face_table(self) -> np.ndarray:
-        """Returns the faces (V, D) around every vertex, padded as ``meshes.face_table`` makes it."""
+        """The indices (V, D) of the faces around every vertex, padded as ``meshes.face_table`` does."""
         return meshes.face_table(self.faces, self.vertex_count)
 
     @cached_property
     def joints_template(self) -> np.ndarray:
-        """Rest joints [m] (24, 3) of the template."""
+        """The rest joints [m] (24, 3) of the mean shape."""
         return self.regressor @ self.v_template
 
     @cached_property
     def joint_shapedirs(self) -> np.ndarray:
-        """Change of the rest joints [m] per unit of shape, (24, 3, S)."""
+        """The displacements (24, 3, S) [m] of the rest joints by each shape coefficient."""
         flat = self.shapedirs.reshape(self.vertex_count, -1)
         return (self.regressor @ flat).reshape(JOINT_COUNT, 3, self.shape_count)
 
     @cached_property
     def bone_directions(self) -> np.ndarray:
-        """Unit direction (24, 3) of each joint's bone in the rest pose; leaves take their parent's."""
+        """The unit directions (24, 3) of the joints' bones in the rest pose; leaves have their parent's."""
         joints = self.joints_template
         directions = np.zeros((JOINT_COUNT, 3))
         for joint, end in enumerate(BONE_ENDS):
@@ -73,7 +74,8 @@ class BodyModel:
         return directions
 
     def check_betas(self, betas: np.ndarray) -> np.ndarray:
-        """Returns ``betas`` as float64 (S,), padded with zeros; refuses NaN and more entries than the body has."""
+        """Returns ``betas`` as float64 (S,), padded with zeros. Raises ``BodyError`` for NaN and for more entries than
+        the body has."""
         betas = np.asarray(betas, dtype=np.float64)
         if betas.ndim != 1 or len(betas) > self.shape_count:
             raise BodyError(
@@ -86,17 +88,18 @@ class BodyModel:
         return np.concatenate([betas, np.zeros(self.shape_count - len(betas))])
 
     def rest_vertices(self, betas: np.ndarray | None = None) -> np.ndarray:
-        """Rest vertices [m] (V, 3) of the shape ``betas``."""
+        """Returns the rest vertices [m] (V, 3) of the shape ``betas``, the mean shape by default."""
         if betas is None:
             return self.v_template
         return self.v_template + self.shapedirs @ self.check_betas(betas)
 
     def floor_m(self, betas: np.ndarray | None = None) -> float:
-        """Height [m] of the soles at rest."""
+        """Returns the height [m] of the soles at rest, the least y of the shape ``betas``."""
         return float(self.rest_vertices(betas)[:, 1].min())
 
     def rest_joints(self, betas: np.ndarray | None = None) -> np.ndarray:
-        """Rest joints [m] (24, 3) of the shape ``betas`` (S,), or (F, 24, 3) of shapes (F, S)."""
+        """Returns the rest joints [m] (24, 3) of the shape ``betas`` (S,), the mean shape by default, or (F, 24, 3) of
+        shapes (F, S)."""
         if betas is None:
             return self.joints_template
         if np.ndim(betas) == 2:
@@ -107,10 +110,11 @@ class BodyModel:
     def bones(
         self, poses: np.ndarray, trans: np.ndarray | None = None, betas: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Rest-to-world transforms of the bones: rotations (F, 24, 3, 3), translations [m] (F, 24, 3).
+        """Returns the transforms of the bones from the rest pose to the world: rotations (F, 24, 3, 3), and
+        translations [m] (F, 24, 3).
 
-        ``poses`` (F, 24, 3) are rotation vectors [rad] relative to the parent,
-        ``trans`` (F, 3) moves the root [m].
+        ``poses`` (F, 24, 3) are rotation vectors [rad] relative to the parent, and ``trans`` [m] (F, 3) displaces the
+        root. Raises ``MotionError`` for arrays of other shapes or with NaN.
         """
         poses = np.asarray(poses, dtype=np.float64)
         check_shape("poses", poses, (None, JOINT_COUNT, 3), error=MotionError)
@@ -125,14 +129,16 @@ class BodyModel:
         return rotations, translations
 
     def posed_joints(self, poses: np.ndarray, betas: np.ndarray | None = None) -> np.ndarray:
-        """Joints [m] (F, 24, 3) of the shape ``betas`` (S,), or of shapes (F, S), in ``poses`` (F, 24, 3)."""
+        """Returns the joints [m] (F, 24, 3) in ``poses`` (F, 24, 3) [rad] of the shape ``betas`` (S,), or of shapes
+        (F, S). The root is not displaced."""
         rotations, translations = self.bones(poses, None, betas)
         return (rotations @ self.rest_joints(betas)[..., None])[..., 0] + translations
 
     def posed_vertices(
         self, poses: np.ndarray, trans: np.ndarray | None = None, betas: np.ndarray | None = None
     ) -> np.ndarray:
-        """World vertices [m] (F, V, 3) by linear blend skinning (with pose blend shapes where the body has them)."""
+        """Returns the vertices [m] (F, V, 3) in the world, in ``poses`` (F, 24, 3) [rad] with the root displaced by
+        ``trans`` [m] (F, 3): by linear blend skinning, and by pose blend shapes where the body has them."""
         rotations, translations = self.bones(poses, trans, betas)
         rest = np.broadcast_to(self.rest_vertices(betas), (len(rotations), self.vertex_count, 3))
         if self.posedirs is not None:

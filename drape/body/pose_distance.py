@@ -1,7 +1,7 @@
-"""Distance of a pose from those that a network was trained on: from the nearest of a few hundred kept ones.
+"""How far a pose lies from those that a network was trained on, of which a few hundred are kept.
 
-Legs and trunk with arms are looked at by themselves, since training mixes the legs of one frame with the trunk of
-another; and the tilt of the pelvis, which the network knows by where gravity points. A turn about the vertical is none.
+Legs and trunk with arms are compared apart, since training mixes the legs of one frame with the trunk of another. So is
+the tilt of the pelvis, which the network knows by the direction of gravity. A turn about the vertical does not count.
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ from drape.errors import ArtifactError
 from drape.files.packed import UNREADABLE
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix, sixd_to_matrix
 
-BODY_JOINTS = range(1, 22)  # without the root and the hands, which are rigid
+BODY_JOINTS = range(1, 22)  # The root and the hands, which are rigid, are left out.
 LEGS = tuple(i for i in BODY_JOINTS if JOINT_NAMES[i].split("_")[-1] in ("hip", "knee", "ankle", "foot"))
 TRUNK = tuple(i for i in BODY_JOINTS if i not in LEGS)
 PARTS = ("legs", "trunk", "tilt")
-SIXD = 6  # numbers of a rotation
-STEPS = 127  # of a stored number, which is one of a rotation matrix
-_FIRST_COLUMNS, _UP = (0, 3, 6, 1, 4, 7), (3, 4, 5)  # entries of a matrix: its 6D form; the world's up in its frame
+SIXD = 6  # A rotation's 6D form has so many numbers.
+STEPS = 127  # Steps in a stored number, which is an entry of a rotation matrix.
+# Entries of a rotation matrix: its 6D form, and the world's up in its frame.
+_FIRST_COLUMNS, _UP = (0, 3, 6, 1, 4, 7), (3, 4, 5)
 PART_ENTRIES = (*([9 * joint + i for joint in joints for i in _FIRST_COLUMNS] for joints in (LEGS, TRUNK)), _UP)
-_TAKEN = np.concatenate(PART_ENTRIES)  # the entries of a pose's matrices that are compared, part after part
+_TAKEN = np.concatenate(PART_ENTRIES)  # Entries of a pose's matrices that are compared, part after part.
 _ENDS = np.cumsum([len(part) for part in PART_ENTRIES]).tolist()
 PART_SLICES = tuple(slice(end - len(part), end) for part, end in zip(PART_ENTRIES, _ENDS, strict=True))
 PART_JOINTS = np.array([max(1, len(part) // SIXD) for part in PART_ENTRIES], dtype=np.float32)
@@ -35,12 +36,12 @@ PART_JOINTS = np.array([max(1, len(part) // SIXD) for part in PART_ENTRIES], dty
 
 @dataclass(frozen=True, eq=False)
 class PoseSupport:
-    """The poses that are kept of training, and how far from them a pose may be.
+    """Poses of training that are kept, and how far from them a pose may lie.
 
-    ``legs`` (n, 48), ``trunk`` (n, 78) and ``tilt`` (m, 3) are the kept poses, int8 steps of 1/127. Columns are the 6D
-    rotations (Zhou et al. 2019) of the part's joints, and of the tilt the world's up axis in the pelvis' frame.
-    ``limits`` (3,) are the largest distances of the three parts from the nearest kept pose that still count as like
-    training.
+    ``legs`` (n, 48), ``trunk`` (n, 78) and ``tilt`` (m, 3) are the kept poses, part by part, int8 in steps of 1/127.
+    Columns are the 6D rotations (Zhou et al. 2019) of the part's joints from their parents; of the tilt they are the
+    world's up axis in the frame of the pelvis. ``limits`` (3,) are the largest distances of legs, trunk and tilt that
+    count as like training.
     """
 
     legs: np.ndarray
@@ -50,13 +51,13 @@ class PoseSupport:
 
     @cached_property
     def columns(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        """The kept rows of each part, transposed (n, m), and the squares of their lengths (m,), float32."""
+        """Of each part the kept poses, one a column, and the squares (n,) of these columns' lengths, float32."""
         rows = [getattr(self, name).astype(np.float32) / np.float32(STEPS) for name in PARTS]
         return tuple((np.ascontiguousarray(one.T), (one**2).sum(axis=1)) for one in rows)
 
     def distances(self, poses: np.ndarray) -> np.ndarray:
-        """Returns the distances (F, 3) of ``poses`` (F, 24, 3) [rad] from the kept poses, part by part: to the nearest
-        one, root mean square over the joints."""
+        """Returns the distances (F, 3) of ``poses`` (F, 24, 3) [rad] from the nearest kept legs, trunk and tilt: the
+        difference of their 6D rotations, root mean square over the part's joints."""
         rows, squared = pose_rows(poses).astype(np.float32), np.empty((len(poses), len(PARTS)), dtype=np.float32)
         for number, (part, (turned, squares)) in enumerate(zip(PART_SLICES, self.columns, strict=True)):
             one = rows[:, part]
@@ -64,33 +65,35 @@ class PoseSupport:
         return np.sqrt(np.maximum(squared, 0.0) / PART_JOINTS)
 
     def novelty(self, poses: np.ndarray) -> np.ndarray:
-        """The largest of the ``distances`` of ``poses`` (F, 24, 3) over its limit, (F,): above 1 unlike training."""
+        """Returns how unlike training ``poses`` (F, 24, 3) [rad] are, (F,): the largest of their ``distances``, each
+        over its limit. Above 1 a pose is unlike training."""
         return (self.distances(poses) / self.limits).max(axis=-1)
 
     def to_bytes(self) -> bytes:
-        """The npz of ``read_pose_support``."""
+        """Returns the npz file that ``read_pose_support`` reads."""
         file = io.BytesIO()
         np.savez_compressed(file, **{item.name: getattr(self, item.name) for item in fields(self)})
         return file.getvalue()
 
 
 def pose_rows(poses: np.ndarray) -> np.ndarray:
-    """The compared numbers (F, 129) of ``poses`` (F, 24, 3) [rad], part after part in the order of ``PARTS``."""
+    """Returns the numbers (F, 129) in which ``poses`` (F, 24, 3) [rad] are compared: the columns of ``PoseSupport``, of
+    legs, trunk and tilt in turn."""
     matrices = joint_rotations(poses)[1].reshape(len(poses), 9 * JOINT_COUNT)
     return matrices.take(_TAKEN, axis=1)
 
 
 def pose_parts(poses: np.ndarray) -> dict[str, np.ndarray]:
-    """The rows of ``poses`` (F, 24, 3) [rad] by the names in ``PARTS``: (F, 48), (F, 78) and (F, 3)."""
+    """Returns the ``pose_rows`` of ``poses`` (F, 24, 3) [rad] part by part: "legs" (F, 48), "trunk" (F, 78) and "tilt"
+    (F, 3)."""
     rows = pose_rows(poses)
     return {name: rows[:, part] for name, part in zip(PARTS, PART_SLICES, strict=True)}
 
 
-def wandering(support: PoseSupport, count: int, *, seed: int = 0) -> np.ndarray:
-    """Returns ``count`` poses (n, 24, 3) [rad] that mix the kept legs, trunks and tilts, as training does; at most as
-    many as are kept.
-    """
-    draw = np.random.default_rng(seed)
+def mixed_poses(support: PoseSupport, count: int) -> np.ndarray:
+    """Returns n = ``count`` poses (n, 24, 3) [rad] that each join the legs, the trunk and the tilt of other kept poses,
+    as training does; fewer where fewer are kept. They are the same each time."""
+    draw = np.random.default_rng(0)
     turns = np.tile(np.eye(3), (min(count, len(support.legs), len(support.trunk)), JOINT_COUNT, 1, 1))
     for rows, joints in ((support.legs, LEGS), (support.trunk, TRUNK)):
         kept = draw.permutation(len(rows))[: len(turns)]
@@ -98,14 +101,16 @@ def wandering(support: PoseSupport, count: int, *, seed: int = 0) -> np.ndarray:
         turns[:, list(joints)] = sixd_to_matrix(sixd)
     up = support.tilt[draw.integers(0, len(support.tilt), len(turns))].astype(np.float64)
     up /= np.linalg.norm(up, axis=1, keepdims=True)
-    axis = np.stack([-up[:, 2], np.zeros(len(up)), up[:, 0]], axis=1)  # the shortest turn from there to y
+    # It is the axis of the shortest turn from there to y.
+    axis = np.stack([-up[:, 2], np.zeros(len(up)), up[:, 0]], axis=1)
     sine = np.linalg.norm(axis, axis=1, keepdims=True)
     turns[:, 0] = rotvec_to_matrix(axis / np.maximum(sine, 1e-9) * np.arctan2(sine, up[:, 1:2]))
     return matrix_to_rotvec(turns)
 
 
 def read_pose_support(path: Path) -> PoseSupport:
-    """The pose support that ``to_bytes`` wrote; raises ``ArtifactError`` where the file holds something else."""
+    """Returns the pose support in the file at ``path``, which holds what ``to_bytes`` returns. Raises ``ArtifactError``
+    for any other content."""
     try:
         with np.load(path, allow_pickle=False) as file:
             support = PoseSupport(**{item.name: file[item.name] for item in fields(PoseSupport)})

@@ -22,31 +22,31 @@ from drape.body.measures import Measures, measures
 from drape.body.model import BodyModel
 from drape.errors import BodyError
 
-LIMIT = 3.0  # standard deviations; one body in 370 is further out in a given way
+LIMIT = 3.0  # In standard deviations: one body in 370 is further out in a given direction.
 ACCURACY = Measures(*(1e-3,) * 7, weight_kg=0.1)
-MISSED = Measures(*(5e-3,) * 7, weight_kg=0.5)  # beyond it a measure counts as missed
-STEPS, DONE = 12, 1e-4  # at most so many; a shape that changes less is found
+MISSED = Measures(*(5e-3,) * 7, weight_kg=0.5)  # A measure that is off by more counts as missed.
+STEPS, DONE = 12, 1e-4  # At most so many steps are taken, until coefficients change by less.
 
 
 class FoundShape(NamedTuple):
-    """A shape ``betas`` (S,) and the measures that it ``reached``. ``missed`` says by how much [m, kg] a measure lies
-    above (positive) or below what was asked, for those that are off by more than ``MISSED``."""
+    """A shape ``betas`` (S,) and the measures that it ``reached``. ``missed`` has, by name, how far [m, kg] a measure
+    lies above (positive) or below what was asked, where that is more than ``MISSED``."""
 
     betas: np.ndarray
     reached: Measures
     missed: dict[str, float]
 
 
-def shape_of_measures(body: BodyModel, asked: Mapping[str, float], *, limit: float = LIMIT) -> FoundShape:
-    """The likeliest shape of ``body`` that has the measures ``asked``, by their names in ``Measures``.
+def shape_of_measures(body: BodyModel, asked: Mapping[str, float]) -> FoundShape:
+    """Returns the likeliest shape of ``body`` that has the measures ``asked`` [m, kg], by their names in ``Measures``.
 
-    A measure that is left out gets its likeliest value beside those that are given. Refuses (``BodyError``) none at
-    all, unknown names, and a measure that no shape within ``limit`` standard deviations has. Measures that exclude each
-    other are not refused: what was missed is told.
+    A measure that is left out gets its likeliest value beside those that are given. Raises ``BodyError`` for no measure
+    at all, an unknown name, and a measure that no shape within ``LIMIT`` standard deviations has. Measures that exclude
+    each other are no error: the result says what is ``missed``.
     """
-    from scipy.optimize import lsq_linear  # a tenth of a second, which a start need not wait for
+    from scipy.optimize import lsq_linear  # The import takes a tenth of a second, which a start need not wait for.
 
-    names = _checked(body, asked, limit)
+    names = _checked(body, asked)
     rows = [Measures._fields.index(name) for name in names]
     target, scale = np.array([asked[name] for name in names]), np.array(ACCURACY)[rows]
     betas = np.zeros(body.shape_count)
@@ -55,7 +55,7 @@ def shape_of_measures(body: BodyModel, asked: Mapping[str, float], *, limit: flo
         left = (target - np.array(measures(body, betas))[rows]) / scale
         matrix = np.concatenate([slope, np.eye(len(betas))])
         wanted = np.concatenate([left + slope @ betas, np.zeros(len(betas))])
-        before, betas = betas, lsq_linear(matrix, wanted, (-limit, limit), method="bvls").x
+        before, betas = betas, lsq_linear(matrix, wanted, (-LIMIT, LIMIT), method="bvls").x
         if np.abs(betas - before).max() < DONE:
             break
     reached = measures(body, betas)
@@ -65,7 +65,8 @@ def shape_of_measures(body: BodyModel, asked: Mapping[str, float], *, limit: flo
 
 @lru_cache(maxsize=8)
 def measure_ranges(body: BodyModel, limit: float = LIMIT) -> dict[str, tuple[float, float]]:
-    """The least and the largest of each measure by its name, of shapes with |b| <= ``limit``.
+    """Returns the least and the largest value [m, kg] of each measure, by its name, of shapes of ``body`` within
+    ``limit`` standard deviations.
 
     They lie along the slope at the mean shape, since measures are nearly linear.
     """
@@ -77,7 +78,7 @@ def measure_ranges(body: BodyModel, limit: float = LIMIT) -> dict[str, tuple[flo
     return ranges
 
 
-def _checked(body: BodyModel, asked: Mapping[str, float], limit: float) -> list[str]:
+def _checked(body: BodyModel, asked: Mapping[str, float]) -> list[str]:
     """The names of what is ``asked``, in the order of ``Measures``."""
     for name in asked:
         if name not in Measures._fields:
@@ -87,10 +88,10 @@ def _checked(body: BodyModel, asked: Mapping[str, float], limit: float) -> list[
     if not names:
         cure = 'For example {"height_m": 1.7}.'
         raise BodyError("measures", expected=f"some of {', '.join(Measures._fields)}", got="none", cure=cure)
-    ranges = measure_ranges(body, limit)
+    ranges = measure_ranges(body)
     for name in names:
         low, high = ranges[name]
-        if not low <= asked[name] <= high:  # the negation also catches NaN
+        if not low <= asked[name] <= high:  # The negation also catches NaN.
             unit = name.rpartition("_")[2]
             expected, cure = f"{low:.3g} to {high:.3g} {unit}, which this body can have", "Lengths are in metres."
             raise BodyError(name, expected=expected, got=f"{asked[name]:g} {unit}", cure=cure)

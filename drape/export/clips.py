@@ -26,12 +26,12 @@ from drape.files.atomic import whole_file
 
 SCENES = (".usda", *USD_SUFFIXES, VAT_SUFFIX)
 SUFFIXES = (".glb", ".npy", ".pc2", ".mdd", *SCENES)
-CACHES = (".pc2", ".mdd")  # points without a mesh, which comes beside
+CACHES = (".pc2", ".mdd")  # Such files have points and no mesh, which is written beside them.
 
 
 def check_name(path: Path, suffixes: Sequence[str] = SUFFIXES) -> None:
-    """Refuses a file of no kind that is written, or in a folder that is not there (``InputError``), and one for which a
-    package is missing (``Unavailable``)."""
+    """Checks the name of a file that is to be written. Raises ``InputError`` for a suffix that is not in ``suffixes``
+    and for a folder that does not exist, ``Unavailable`` where the package that writes such a file is not installed."""
     suffix = path.suffix.lower()
     if suffix not in suffixes:
         expected = f"a name ending in {', '.join(suffixes)}"
@@ -48,14 +48,15 @@ def check_name(path: Path, suffixes: Sequence[str] = SUFFIXES) -> None:
 
 
 def moving_layers(surfaces: Sequence[Surface], vertices: np.ndarray) -> list[MovingGarment]:
-    """The ``surfaces`` at ``vertices`` [m] (F, V, 3), one after the other, each in its colour."""
+    """Returns the ``surfaces`` as garments that move, each in another colour. ``vertices`` [m] (F, V, 3) are those of
+    all surfaces, one after the other."""
     colours = itertools.cycle(GARMENT_COLOURS)
     return list(map(MovingGarment, surfaces, by_layer(surfaces, vertices), colours))
 
 
 def write_scene(path: Path, layers: Sequence[MovingGarment], fps: float) -> list[Path]:
-    """Writes ``layers`` to ``path`` as a file of one of ``SCENES``, whole or not at all. Returns the other files that
-    it has written beside it."""
+    """Writes ``layers`` at ``fps`` frames a second to ``path``, whose suffix is one of ``SCENES``; the file is whole or
+    not there. Returns the paths of the other files that it has written beside it."""
     suffix = path.suffix.lower()
     if suffix == VAT_SUFFIX:
         made = vat_files(layers, fps, path.stem.removesuffix(ENDING))
@@ -69,10 +70,11 @@ def write_scene(path: Path, layers: Sequence[MovingGarment], fps: float) -> list
 def write_clip(
     path: Path, surfaces: Sequence[Surface], vertices: np.ndarray, fps: float, root_motion: RootMotion | None = None
 ) -> list[Path]:
-    """Writes the ``surfaces`` at ``vertices`` [m] (F, V, 3), one after the other, as a file of one of ``SUFFIXES``;
-    returns what lies beside it: the mesh of a point cache, the other files of a texture.
+    """Writes the ``surfaces`` at ``vertices`` [m] (F, V, 3), those of one after the other, to ``path``, whose suffix is
+    one of ``SUFFIXES``. Returns the paths of what it has written beside it: the mesh of a point cache, the other files
+    of a texture.
 
-    ``root_motion`` quantises a GLB (``drape.export.glb``).
+    With ``root_motion`` a GLB is quantised (``drape.export.glb``).
     """
     suffix = path.suffix.lower()
     if suffix in SCENES:
@@ -103,7 +105,7 @@ def _clip_pieces(
 
 
 def npy_head(points: int, frames: int) -> bytes:
-    """The head of a .npy file of float32 (frames, points, 3)."""
+    """Returns the bytes that a .npy file of float32 numbers (``frames``, ``points``, 3) begins with."""
     buffer = io.BytesIO()
     shape = {"descr": "<f4", "fortran_order": False, "shape": (frames, points, 3)}
     np.lib.format.write_array_header_1_0(buffer, shape)
@@ -111,8 +113,8 @@ def npy_head(points: int, frames: int) -> bytes:
 
 
 def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
-    """Writes ``path`` whole or not at all; what ``pieces`` raise leaves no file. Refuses (``InputError``) a place that
-    cannot be written."""
+    """Writes ``pieces`` one after the other to ``path``, whole or not at all: an error leaves what was there. Raises
+    ``InputError`` where it cannot be written."""
     wanted = "a folder that can be written"
     try:
         with whole_file(path) as stream:

@@ -25,16 +25,18 @@ from drape.geometry import meshes
 from drape.wanted import go_on
 
 GARMENT_COLOURS = ((0.18, 0.42, 0.72, 1.0), (0.62, 0.17, 0.19, 1.0), (0.16, 0.38, 0.26, 1.0), (0.40, 0.28, 0.55, 1.0))
-STEPS = 32767  # from 0 to the box's end
+STEPS = 32767  # So many steps go from 0 to the box's end.
 NORMAL_STEPS = 127
-SHORTEST = 0.05  # to which a normal is shortened at most, so that its way from the first frame's fits into [-1, 1]
+# A normal is shortened at most to this length, so that its difference from the first frame's fits into [-1, 1].
+SHORTEST = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Corners:
     """A mesh whose vertices are split where texture coordinates have a seam.
 
-    ``source`` (N,) is the delivered vertex of each row, ``faces`` (F, 3) index the rows, ``uv`` (N, 2) or None.
+    ``source`` (N,) is the delivered vertex of each of the N rows, and ``faces`` (F, 3) are indices of rows. ``uv``
+    (N, 2) are texture coordinates with the origin at the upper left, None where there are none.
     """
 
     source: np.ndarray
@@ -43,7 +45,8 @@ class Corners:
 
 
 def split_seams(garment: Surface) -> Corners:
-    """Rows for the file: every (vertex, uv) pair once, the delivered order kept for the first of each vertex."""
+    """Returns the mesh of ``garment`` with each pair of vertex and texture coordinate in a row. The first rows are the
+    vertices in the delivered order."""
     if not garment.uv_faces.size:
         return Corners(np.arange(garment.vertex_count), garment.faces.astype(np.int64), None)
     pairs = np.stack([garment.faces.reshape(-1), garment.uv_faces.reshape(-1)], axis=1)
@@ -56,12 +59,13 @@ def split_seams(garment: Surface) -> Corners:
     source = np.concatenate([np.arange(garment.vertex_count), unique[~first, 0]])
     uv = np.zeros((len(source), 2))
     uv[place] = garment.uv[unique[:, 1]]
-    uv[:, 1] = 1.0 - uv[:, 1]  # glTF counts v from the top
+    uv[:, 1] = 1.0 - uv[:, 1]  # glTF counts v from the top.
     return Corners(source, place[inverse.reshape(-1)].reshape(-1, 3), uv)
 
 
 def vertex_normals(frames: np.ndarray, faces: np.ndarray, *, table: np.ndarray | None = None) -> np.ndarray:
-    """Unit normals (..., V, 3) float32; straight up where a vertex has no face. ``table``: ``meshes.face_table``."""
+    """Returns the unit normals (..., V, 3), float32, of vertices ``frames`` (..., V, 3) with ``faces`` (F, 3);
+    (0, 1, 0) where a vertex has no face. ``table`` is ``meshes.face_table`` of the faces, where it is made already."""
     normals = meshes.vertex_normals(frames, faces, table=table)
     normals[np.linalg.norm(normals, axis=-1) < 0.5] = (0.0, 1.0, 0.0)
     return normals.astype(np.float32)
@@ -76,10 +80,12 @@ def add_garment(
     *,
     root_motion: RootMotion | None = None,
 ) -> None:
-    """Adds the garment at ``frames`` (F, V, 3) [m] to ``file``, animated if there are several.
+    """Adds the garment at ``frames`` [m] (F, V, 3) to ``file``, animated at ``fps`` frames a second if there are
+    several.
 
     With a ``root_motion`` it is quantised: no coordinate is off by more than half a step, 1/65534 of the box's longer
-    half. Without one it is in float32. Raises ``InputError`` for a motion of another number of frames.
+    half. Without one it is in float32. ``colour`` is linear red, green, blue and opacity. Raises ``InputError`` for a
+    motion of another number of frames.
     """
     corners = split_seams(garment)
     if root_motion is not None and len(root_motion) != len(frames):
@@ -98,7 +104,13 @@ def add_shape(
     fps: float,
     colour: tuple[float, float, float, float],
 ) -> None:
-    """Adds the garment with its materials in the given ``shape``, whose last frames are morph targets of the first."""
+    """Adds mesh, materials and node of ``garment`` to ``file``, and an animation where ``shape`` has morph targets. Of
+    n targets target i is shown in frame ``frames`` - n + i, at ``fps`` frames a second; before these the mesh itself is
+    shown.
+
+    ``corners`` is ``split_seams`` of the garment. ``colour``, linear red, green, blue and opacity, is for materials
+    that have no look.
+    """
     base, moves = shape.parts[0], shape.parts[1:]
     if corners.uv is not None:
         base["TEXCOORD_0"] = file.array(corners.uv.astype(np.float32), target=VERTEX_BUFFER)
@@ -128,7 +140,12 @@ def add_shape(
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A garment's mesh as accessors of the file: its ``parts``, the fields of its ``node``, and its ``motion``."""
+    """A garment's mesh as it lies in a GLB file.
+
+    ``parts`` are the accessors of attributes (POSITION, NORMAL, ...), of the mesh and then of each morph target.
+    ``node`` has further fields of its node, and ``motion`` the values (F, n) of the node's animated paths (translation,
+    rotation).
+    """
 
     parts: list[dict[str, int]]
     node: dict[str, Any] = field(default_factory=dict)
@@ -178,7 +195,7 @@ def _box(frames: np.ndarray, root_motion: RootMotion) -> tuple[np.ndarray, float
     for frame in range(1, len(frames)):
         go_on()
         reach = max(reach, np.abs(root_motion.towards_root(frames[frame], frame) - first).max())
-    return centre, float(max(reach, 1e-6)) * (1.0 + 1.0 / STEPS)  # rounding may make a way longer by a step
+    return centre, float(max(reach, 1e-6)) * (1.0 + 1.0 / STEPS)  # Rounding may make a way longer by a step.
 
 
 def _steps(
@@ -196,7 +213,8 @@ def _steps(
 
 
 def normal_steps(normals: np.ndarray, first: np.ndarray | None) -> np.ndarray:
-    """Returns unit ``normals`` (V, 3) in steps of 8 bits, or how much they differ from the normals ``first`` (V, 3)."""
+    """Returns unit ``normals`` (V, 3) in whole steps of 1/127, or with ``first`` (V, 3) the steps from these unit
+    normals to them; numbers are in [-127, 127]."""
     return np.rint((normals if first is None else _way_of_normals(first, normals)) * NORMAL_STEPS)
 
 
@@ -211,5 +229,6 @@ def _way_of_normals(first: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def flat_indices(faces: np.ndarray, count: int) -> np.ndarray:
-    """Flat indices; 16 bits where they suffice (65535 is reserved)."""
+    """Returns the vertices (3 F,) of ``faces`` (F, 3), corner by corner, of a mesh of ``count`` vertices: uint16 where
+    that suffices, otherwise uint32. 65535 is reserved."""
     return faces.reshape(-1).astype(np.uint16 if count < 65535 else np.uint32)

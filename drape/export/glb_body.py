@@ -27,9 +27,8 @@ def add_body(
     trans: np.ndarray | None = None,
     fps: float = 30.0,
 ) -> None:
-    """Adds the body of shape ``betas`` to ``file``, with its 24 joints as a skeleton; it moves if ``poses`` and
-    ``trans`` are given.
-    """
+    """Adds the body of shape ``betas`` (S,) to ``file``, with its 24 joints as a skeleton. It is animated at ``fps``
+    frames a second if SMPL ``poses`` (F, 24, 3) [rad] and root translations ``trans`` [m] (F, 3) are given."""
     rest, joints = body.rest_vertices(betas), body.rest_joints(betas)
     first = len(file.json["nodes"])
     for joint, (name, parent) in enumerate(zip(JOINT_NAMES, PARENTS, strict=True)):
@@ -41,7 +40,7 @@ def add_body(
         file.add("nodes", node)
     file.json["scenes"][0]["nodes"].append(first)
     binds = np.tile(np.eye(4, dtype=np.float32), (len(joints), 1, 1))
-    binds[:, 3, :3] = -joints  # column-major: the translation is the last row as stored
+    binds[:, 3, :3] = -joints  # glTF stores matrices column by column, so the translation is the last row.
     bones, weights = heaviest_bones(body)
     attributes = {
         "POSITION": file.array(rest.astype(np.float32), target=VERTEX_BUFFER, bounds=True),
@@ -74,7 +73,8 @@ def add_body(
 
 
 def heaviest_bones(body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
-    """The four heaviest bones of each vertex, uint8 (V, 4), and their weights, float32, summing to one."""
+    """Returns the four heaviest bones of each vertex, uint8 (V, 4), and their weights (V, 4), float32, which sum to
+    one."""
     order = np.argsort(-body.weights, axis=1, kind="stable")[:, :4]
     weights = np.take_along_axis(body.weights, order, axis=1)
     weights = (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)

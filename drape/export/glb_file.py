@@ -1,4 +1,4 @@
-"""A GLB file as it grows: arrays one after the other, the rest into JSON (glTF 2.0, 12.1 of the specification)."""
+"""A GLB file while it is written: arrays one after the other, the rest as JSON (glTF 2.0, section 12.1)."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ TEXTURES = {
 _COMPONENTS = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125, "float32": 5126}
 _SHAPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
-Channel = tuple[int, str, np.ndarray]  # node, path, values per frame
+Channel = tuple[int, str, np.ndarray]  # A node's index, the path that is animated, and its values in each frame.
 
 
 class GlbFile:
-    """A GLB file that grows: arrays one after the other, everything else in the JSON part.
+    """A GLB file that grows: arrays one after the other, and everything else in its JSON part ``json``.
 
     It keeps the arrays that it is given, which may not change any more, and never has the file in one piece.
     """
@@ -46,14 +46,15 @@ class GlbFile:
         for key in ("nodes", "meshes", "materials", "accessors", "bufferViews"):
             self.json.setdefault(key, [])
         self._arrays: list[np.ndarray] = []
-        self._size = 0  # of the binary chunk so far
+        self._size = 0  # The size [bytes] of the binary chunk so far.
         self._animation: dict[str, Any] | None = None
-        self._textures: dict[int, tuple[bytes, int]] = {}  # by the picture's id, which holds while it is kept
+        # Keys are ids of pictures, which hold while the pictures are kept.
+        self._textures: dict[int, tuple[bytes, int]] = {}
         if binary:
             self._append(np.frombuffer(binary, np.uint8))
 
     def add(self, key: str, value: dict[str, Any]) -> int:
-        """Appends ``value`` to the list ``key`` and returns its index."""
+        """Appends ``value`` to the list ``key`` of the JSON part. Returns its index there."""
         rows = self.json.setdefault(key, [])
         rows.append(value)
         return len(rows) - 1
@@ -61,8 +62,9 @@ class GlbFile:
     def array(
         self, array: np.ndarray, *, target: int | None = None, bounds: bool = False, normalized: bool = False
     ) -> int:
-        """Adds ``array`` (N, ...) as an accessor and returns its index. Positions and times need ``bounds``.
-        ``normalized``: its largest integer stands for one."""
+        """Adds ``array`` (N, ...) as an accessor. Returns the accessor's index. ``target`` is glTF's number of the kind
+        of buffer. ``bounds`` writes the least and the largest values, which positions and times need. ``normalized``:
+        the largest integer stands for one."""
         array = np.ascontiguousarray(array)
         view: dict[str, Any] = {"buffer": 0, "byteOffset": self._size, "byteLength": array.nbytes}
         if target is not None:
@@ -86,18 +88,19 @@ class GlbFile:
         self._size += _padded(array.nbytes)
 
     def quantised(self) -> None:
-        """Declares in the file that vertices are in steps."""
+        """Declares in the file that vertices are quantised (KHR_mesh_quantization), and that readers must know this."""
         self.uses(QUANTIZATION, "extensionsUsed", "extensionsRequired")
 
     def uses(self, extension: str, *lists: str) -> None:
-        """Declares in the file that it uses ``extension``; ``lists`` of the file say that it is used, or required."""
+        """Adds ``extension`` to ``lists`` of the JSON part, "extensionsUsed" by default."""
         for one in lists or ("extensionsUsed",):
             used = self.json.setdefault(one, [])
             if extension not in used:
                 used.append(extension)
 
     def quantised_rows(self, arrays: np.ndarray, *, bounds: bool = False) -> list[int]:
-        """The normalized accessors of ``arrays`` (N, V, 3), int8 or int16, in one view; a row has four numbers."""
+        """Adds ``arrays`` (N, V, 3), int8 or int16, as N normalized accessors in one buffer view, whose rows have four
+        numbers. Returns the indices of the accessors. ``bounds`` writes their least and largest values."""
         size = arrays.dtype.itemsize
         rows = np.zeros((*arrays.shape[:2], 4), arrays.dtype)
         rows[..., :3] = arrays
@@ -120,7 +123,8 @@ class GlbFile:
         return accessors
 
     def animate(self, frames: int, fps: float, channels: Sequence[Channel]) -> None:
-        """Adds ``channels`` (node, path, values per frame) to the one animation that we write."""
+        """Adds ``channels`` to the one animation that we write. A channel is a node's index, the path that is animated,
+        and its values (``frames``, ...), at ``fps`` frames a second."""
         times = self.array((np.arange(frames) / fps).astype(np.float32), bounds=True)
         if self._animation is None:
             self._animation = {"name": "drape", "channels": [], "samplers": []}
@@ -134,16 +138,14 @@ class GlbFile:
             animation["samplers"].append(sampler)
 
     def node(self, value: dict[str, Any]) -> int:
-        """A node at the top of the scene."""
+        """Adds the node ``value`` to the top of the scene. Returns its index."""
         index = self.add("nodes", value)
         self.json["scenes"][self.json.get("scene", 0)].setdefault("nodes", []).append(index)
         return index
 
     def place(self, name: str, point: np.ndarray) -> None:
-        """Puts the top of the scene under one node at ``point`` [m], which JSON holds in float64.
-
-        Skinned meshes stay at the top: they go where their joints are.
-        """
+        """Adds a node ``name`` at ``point`` [m] (3,), which JSON holds in float64, and moves what is at the top of the
+        scene below it. Skinned meshes stay at the top: they go where their joints are."""
         top = self.json["scenes"][0]["nodes"]
         skinned = [index for index in top if "skin" in self.json["nodes"][index]]
         children = [index for index in top if index not in skinned]
@@ -159,9 +161,10 @@ class GlbFile:
         *,
         with_pictures: bool = True,
     ) -> int:
-        """The material of a ``colour``, unless material ``index`` of ``looks`` has a look of its own.
+        """Adds a material and returns its index: material ``index`` of ``looks``, or a plain one of ``colour`` (linear
+        red, green, blue and opacity) where that has no look.
 
-        Cloth is drawn from both sides, whatever its file says. ``with_pictures``: there are texture coordinates.
+        Cloth is drawn from both sides, whatever its file says. ``with_pictures``: the mesh has texture coordinates.
         """
         look = looks.material(index)
         if look is None:
@@ -196,7 +199,8 @@ class GlbFile:
         return self._textures[id(picture)][1]
 
     def head(self) -> bytes:
-        """The file as far as the arrays: header, JSON chunk, and how long the binary chunk is."""
+        """Returns the bytes of the file before the arrays: the header, the JSON chunk, and the head of the binary
+        chunk."""
         self.json["buffers"] = [{"byteLength": self._size}]
         text = json.dumps(self.json, separators=(",", ":"), allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
@@ -205,7 +209,7 @@ class GlbFile:
         return b"".join([head, text, struct.pack("<I4s", self._size, b"BIN\0")])
 
     def pieces(self) -> Iterator[bytes]:
-        """The binary chunk in pieces of at most ``PIECE_BYTES``."""
+        """Yields the arrays' bytes, the content of the binary chunk, in pieces of at most ``PIECE_BYTES``."""
         for array in self._arrays:
             flat = array.reshape(-1).view(np.uint8)
             for start in range(0, len(flat), PIECE_BYTES):
@@ -215,11 +219,11 @@ class GlbFile:
 
     @property
     def binary_bytes(self) -> int:
-        """Size of the binary chunk."""
+        """The size [bytes] of the content of the binary chunk."""
         return self._size
 
     def to_bytes(self) -> bytes:
-        """The file: header, JSON chunk, binary chunk."""
+        """Returns the whole file."""
         return b"".join([self.head(), *self.pieces()])
 
 

@@ -15,12 +15,11 @@ _HEAD = struct.Struct(">ii")
 
 
 def mdd_head(points: int, frames: int, fps: float) -> bytes:
-    """Returns the bytes that a file of ``frames`` frames of ``points`` points each begins with; the first frame is at 0
-    s.
-    """
+    """Returns the bytes that an MDD file of ``frames`` frames of ``points`` points begins with. The first frame is at 0
+    s."""
     return _HEAD.pack(frames, points) + (np.arange(frames) / fps).astype(">f4").tobytes()
 
 
 def mdd_frames(vertices: np.ndarray) -> bytes:
-    """Returns the bytes of the frames of ``vertices`` [m] (F, V, 3)."""
+    """Returns the bytes of the frames of ``vertices`` [m] (F, V, 3) in an MDD file."""
     return np.asarray(vertices, ">f4").tobytes()

@@ -10,9 +10,8 @@ from drape.export.surface import Surface
 
 
 def obj_text(surfaces: Sequence[Surface], vertices: Sequence[np.ndarray]) -> str:
-    """Returns ``surfaces`` at their ``vertices`` [m] (V, 3) each, one after the other, with texture coordinates and
-    names of materials.
-    """
+    """Returns the text of an OBJ file with the ``surfaces``, one after the other, with texture coordinates and names of
+    materials. ``vertices`` [m] (V, 3) are those of each surface."""
     lines, first, first_uv = ["# metres, y up"], 1, 1
     for surface, places in zip(surfaces, vertices, strict=True):
         lines += [f"o {surface.name}", *(f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in places.tolist())]

@@ -17,12 +17,11 @@ FRAMES_A_SAMPLE = 1.0
 
 
 def pc2_head(points: int, frames: int) -> bytes:
-    """Returns the bytes that a file of ``frames`` samples of ``points`` points each begins with; the first sample is of
-    frame 0.
-    """
+    """Returns the bytes that a PC2 file of ``frames`` samples of ``points`` points begins with. The first sample is of
+    frame 0."""
     return _HEAD.pack(MAGIC, VERSION, points, 0.0, FRAMES_A_SAMPLE, frames)
 
 
 def pc2_samples(vertices: np.ndarray) -> bytes:
-    """Returns the bytes of the samples of ``vertices`` [m] (F, V, 3)."""
+    """Returns the bytes of the samples of ``vertices`` [m] (F, V, 3) in a PC2 file."""
     return np.asarray(vertices, "<f4").tobytes()

@@ -12,9 +12,12 @@ from drape.files.looks import NO_LOOKS, Looks
 
 
 class Surface(Protocol):
-    """A mesh of triangles: ``faces`` (F, 3) of ``vertex_count`` vertices, texture coordinates ``uv`` (T, 2) with
-    ``uv_faces`` (F, 3), both empty where there are none, the material ``face_material`` (F,) of each face, and
-    ``looks`` of the materials."""
+    """The mesh of a garment as writers of files take it.
+
+    ``faces`` (F, 3) are indices of its ``vertex_count`` vertices. ``uv`` (T, 2) are texture coordinates with the origin
+    at the lower left, and ``uv_faces`` (F, 3) indices of these; both are empty where there are none. ``face_material``
+    (F,) is the index of each face's material in ``material_names`` and ``looks``.
+    """
 
     @property
     def name(self) -> str: ...
@@ -50,7 +53,8 @@ class MeshSurface:
 
 @dataclass(frozen=True, eq=False)
 class MovingGarment:
-    """A garment at ``vertices`` [m] (F, V, 3), in a ``colour`` of linear red, green, blue and opacity."""
+    """A garment over F frames: its mesh, ``vertices`` [m] (F, V, 3) in the world, and a ``colour``, linear red, green,
+    blue and opacity."""
 
     surface: Surface
     vertices: np.ndarray
@@ -65,7 +69,6 @@ class Counted(Protocol):
 
 
 def by_layer(layers: Sequence[Counted], vertices: np.ndarray) -> list[np.ndarray]:
-    """Splits ``vertices`` (F, V, 3), which has those of all ``layers`` one after the other, into an array for each
-    layer.
-    """
+    """Returns the parts of ``vertices`` (F, V, 3) that belong to each of ``layers``, which lie there one after the
+    other."""
     return np.split(vertices, np.cumsum([layer.vertex_count for layer in layers])[:-1], axis=1)

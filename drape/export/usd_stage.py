@@ -30,7 +30,7 @@ CHANNELS = {"base_colour": "sRGB", "normal": "raw", "metallic_roughness": "raw"}
 
 
 def check_usd() -> None:
-    """Refuses (``Unavailable``) where the package usd-core is not installed."""
+    """Raises ``Unavailable`` where the package usd-core is not installed."""
     _pxr("Usd")
 
 
@@ -43,8 +43,10 @@ def _pxr(name: str) -> Any:
 
 
 def usd_file(layers: Sequence[MovingGarment], fps: float, suffix: str, *, point: np.ndarray | None = None) -> bytes:
-    """The scene of ``layers`` as a file of the kind that ``suffix`` names; vertices count from ``point`` [m] (3,), the
-    origin by default. Raises ``Unavailable`` without usd-core."""
+    """Returns the bytes of a USD scene of ``layers``, ".usdc" or ".usdz" by its ``suffix``, at ``fps`` frames a second.
+
+    Vertices count from ``point`` [m] (3,), the origin by default. Raises ``Unavailable`` without usd-core.
+    """
     usd = _pxr("Usd")
     with tempfile.TemporaryDirectory(prefix="usd-") as folder:
         path = Path(folder) / "clip.usdc"
@@ -133,7 +135,7 @@ def _stored(picture: bytes, folder: Path | None) -> str:
     if picture not in held:
         held[picture] = f"{len(list(folder.iterdir()))}.{ending}"
         (folder / held[picture]).write_bytes(picture)
-    return f"./{held[picture]}"  # of this folder: other names are looked for where USD has its own
+    return f"./{held[picture]}"  # USD seeks names without "./" in its own folders.
 
 
 def _material(stage: Any, path: str, look: Material, pictures: dict[str, str]) -> Any:

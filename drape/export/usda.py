@@ -13,12 +13,13 @@ import numpy as np
 
 from drape.export.surface import MovingGarment
 
-ROWS_A_PIECE = 1024  # half a millisecond of the formatter, which holds the interpreter lock
-POINT_BYTES = 28  # about
+ROWS_A_PIECE = 1024  # The formatter holds the interpreter lock for half a millisecond.
+POINT_BYTES = 28  # A point takes about so many bytes.
 
 
 def usda_pieces(layers: Sequence[MovingGarment], fps: float, *, point: np.ndarray | None = None) -> Iterator[bytes]:
-    """Yields the text of the file in pieces. Vertices count from ``point`` [m] (3,), the origin by default."""
+    """Yields the text of a USD scene of ``layers``, in UTF-8 and in pieces, at ``fps`` frames a second. Vertices count
+    from ``point`` [m] (3,), the origin by default."""
     x, y, z = np.zeros(3).tolist() if point is None else point.tolist()
     yield (
         f'#usda 1.0\n(\n    defaultPrim = "clip"\n    endTimeCode = {len(layers[0].vertices) - 1}\n'
@@ -82,7 +83,8 @@ def _listed(numbers: np.ndarray) -> Iterator[bytes]:
 
 
 def identifiers(names: Sequence[str]) -> list[str]:
-    """Returns ``names`` as USD names prims: letters, digits and underscores of ASCII, each once."""
+    """Returns ``names`` as names of USD's prims, in their order: letters, digits and underscores of ASCII. Equal ones
+    get numbers."""
     names_so_far: list[str] = []
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9_]", "_", name) or "_"

@@ -26,12 +26,12 @@ from drape.geometry import meshes
 from drape.wanted import go_on
 
 SUFFIX, ENDING = ".exr", "_vat"
-WIDTH = 8192  # of a texture that every engine takes
+WIDTH = 8192  # Every engine takes textures of this width.
 MOST_ROWS = 16384
 
 
 def check_vat() -> None:
-    """Refuses (``Unavailable``) where the package OpenEXR is not installed."""
+    """Raises ``Unavailable`` where the package OpenEXR is not installed."""
     _openexr()
 
 
@@ -45,12 +45,12 @@ def _openexr() -> Any:
 
 
 def vat_files(layers: Sequence[MovingGarment], fps: float, name: str) -> dict[str, bytes]:
-    """The files of ``layers`` as one mesh, by their names, which begin with ``name``.
+    """Returns the bytes of the three files of ``layers`` as one mesh, by their names, which begin with ``name``.
 
     Raises ``Unavailable`` without OpenEXR, and ``InputError`` for more frames than a texture has rows for.
     """
     check_vat()
-    whole = merged(layers, name)
+    whole = merge_layers(layers, name)
     corners, frames = split_seams(whole.surface), whole.vertices
     most = MOST_ROWS // (2 * -(-len(corners.source) // WIDTH))
     if len(frames) > most:
@@ -75,10 +75,10 @@ def vat_files(layers: Sequence[MovingGarment], fps: float, name: str) -> dict[st
     }  # fmt: skip
 
 
-def merged(layers: Sequence[MovingGarment], name: str) -> MovingGarment:
-    """Returns ``layers`` as one, called ``name``, with the materials of all."""
-    surfaces = [one.surface for one in layers]
-    starts = np.cumsum([0, *(one.vertex_count for one in surfaces)]).tolist()
+def merge_layers(layers: Sequence[MovingGarment], name: str) -> MovingGarment:
+    """Returns ``layers`` as one mesh called ``name``, with the materials of all."""
+    surfaces = [layer.surface for layer in layers]
+    starts = np.cumsum([0, *(surface.vertex_count for surface in surfaces)]).tolist()
     uv, uv_faces, parts = [np.zeros((1, 2))], list[np.ndarray](), list[np.ndarray]()
     names, materials, pictures = list[str](), list[Material | None](), list[bytes]()
     for layer, surface in zip(layers, surfaces, strict=True):
@@ -91,15 +91,15 @@ def merged(layers: Sequence[MovingGarment], name: str) -> MovingGarment:
         names += own
         for number in range(len(own)):
             look = surface.looks.material(number) or Material((*layer.colour[:3], 1.0))
-            held = {slot: one + len(pictures) for slot, one in look.pictures.items()} if has else {}
+            held = {slot: number + len(pictures) for slot, number in look.pictures.items()} if has else {}
             materials.append(replace(look, pictures=held))
         pictures += surface.looks.pictures
-    faces = np.concatenate([one.faces + start for one, start in zip(surfaces, starts, strict=False)])
+    faces = np.concatenate([surface.faces + start for surface, start in zip(surfaces, starts, strict=False)])
     surface = MeshSurface(
         name, starts[-1], faces, np.concatenate(uv), np.concatenate(uv_faces), tuple(names),
         np.concatenate(parts).astype(np.int64), Looks(tuple(materials), tuple(pictures)),
     )  # fmt: skip
-    return MovingGarment(surface, np.concatenate([one.vertices for one in layers], axis=1), layers[0].colour)
+    return MovingGarment(surface, np.concatenate([layer.vertices for layer in layers], axis=1), layers[0].colour)
 
 
 def _texels(whole: MovingGarment, corners: Corners) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -19,7 +19,8 @@ SHIPPED_FOLDER = ASSETS / "bodies"
 
 
 def avatar_table(folder: Path) -> dict[str, Any]:
-    """The ``avatars.json`` of ``folder``: beginnings of file names -> avatar; empty where there is none."""
+    """Returns the ``avatars.json`` of ``folder``: avatars by the beginnings of the names of garment files, empty where
+    there is no such file. An avatar is an object or a string. Raises ``BodyError`` for other content."""
     path = folder / TABLE_NAME
     if not path.is_file():
         return {}
@@ -38,8 +39,8 @@ def avatar_table(folder: Path) -> dict[str, Any]:
 
 
 def entry_for(name: str, folders: list[Path]) -> tuple[str, Any, Path] | None:
-    """Returns the key and the entry of the avatar on which the garment file ``name`` was modelled, and the folder of
-    its table; None where no table has one.
+    """Returns the avatar of the garment file ``name``: the key and the entry of a table, and the table's folder; None
+    where no table of ``folders`` has one.
 
     A key fits where the name begins with it. The first folder that has such a key decides, by its longest one.
     """

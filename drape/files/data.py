@@ -17,10 +17,11 @@ HOW_TO_SET_DATA = (
 
 
 def data_folder(kind: str | None = None) -> Path | None:
-    """The folder named by DRAPE_DATA, or its subfolder ``kind`` ("garments", "motions", ...); None where there is none.
+    """Returns the folder named by DRAPE_DATA, or its subfolder ``kind`` ("garments", "motions", ...); None where the
+    variable is not set, or there is no such subfolder.
 
-    A variable that names nothing is refused rather than ignored: a mistyped path
-    would otherwise look like a machine without data.
+    A variable that names nothing is refused (``NotFound``) rather than ignored: a mistyped path would otherwise look
+    like a machine without data.
     """
     value = os.environ.get(DATA_VARIABLE, "").strip()
     if not value:

@@ -23,9 +23,14 @@ AGAIN = "Export it again, or as GLB."
 
 @dataclass(frozen=True, eq=False)
 class FbxMesh:
-    """One visible mesh: ``vertices`` (V, 3) that ``placed`` (3, 4) takes to the world [m]; ``corners`` (C,) of all
-    polygons, which are rows (begin, count) of ``polygons`` (P, 2); ``uv`` (C, 2) or None; the numbers of its
-    ``materials`` and which of them each polygon has (P,), or none are told."""
+    """One visible mesh of an FBX file.
+
+    ``placed`` (3, 4) takes its ``vertices`` (V, 3) to the world [m]. ``corners`` (C,) are the vertices of all polygons,
+    one polygon after the other, and ``polygons`` (P, 2) the first corner and the number of corners of each. ``uv``
+    (C, 2) are the corners' texture coordinates with the origin at the lower left, or None. ``materials`` are indices of
+    the file's materials, and ``face_material`` (P,) is the index of each polygon's in ``materials``, empty where the
+    file has none.
+    """
 
     name: str
     vertices: np.ndarray
@@ -39,10 +44,10 @@ class FbxMesh:
 
 @dataclass(frozen=True, eq=False)
 class FbxScene:
-    """The visible contents of an FBX file.
+    """The visible contents of an FBX file: ``meshes``, and ``materials`` as objects of ``fbx_process``.
 
-    ``meshes``; ``materials`` as ``fbx_process`` tells them; ``pictures``, each by its names with its bytes, which may
-    be empty; and ``unit_m``, the unit of the file [m].
+    ``pictures`` have the names by which the file calls each one, and its bytes, which may be empty. ``unit_m`` is the
+    file's unit [m].
     """
 
     meshes: list[FbxMesh]
@@ -53,8 +58,11 @@ class FbxScene:
 
 @dataclass(frozen=True, eq=False)
 class FbxMotion:
-    """J nodes: ``names``, ``parents`` (-1: none), ``rest`` (J, 3, 4) in the world; ``moves`` (F, J, 10) in the frames,
-    relative to the parent: translation, quaternion xyzw, scale; y up."""
+    """J nodes of an FBX file in F frames, y up, in metres.
+
+    ``parents`` are indices, -1 for none. ``rest`` (J, 3, 4) are the world transforms at rest. ``moves`` (F, J, 10) are
+    the transforms relative to the parent: translation, quaternion xyzw, scale.
+    """
 
     names: list[str]
     parents: list[int]
@@ -64,25 +72,25 @@ class FbxMotion:
 
 
 def read_scene(payload: bytes, fault: Callable[[str, str, str], DrapeError]) -> FbxScene:
-    """The scene of an FBX file, binary or text.
+    """Returns the visible contents of the FBX file ``payload``, binary or text.
 
     Raises ``fault(expected, got, cure)`` for damaged bytes, and where ufbx is not installed.
     """
     arrays = _read(payload, fault)
-    told = json.loads(arrays["told"].tobytes())
-    meshes = [_mesh(arrays, number, one) for number, one in enumerate(told["meshes"])]
-    pictures = [(names, arrays[f"picture.{number}"].tobytes()) for number, names in enumerate(told["pictures"])]
-    return FbxScene(meshes, told["materials"], pictures, told["unit_m"])
+    description = json.loads(arrays["description"].tobytes())
+    meshes = [_mesh(arrays, number, one) for number, one in enumerate(description["meshes"])]
+    pictures = [(names, arrays[f"picture.{number}"].tobytes()) for number, names in enumerate(description["pictures"])]
+    return FbxScene(meshes, description["materials"], pictures, description["unit_m"])
 
 
 def read_animation(
     payload: bytes, fault: Callable[[str, str, str], DrapeError], *, clip: str | None = None
 ) -> FbxMotion:
-    """The animation called ``clip`` in an FBX file, or its longest. Raises as ``read_scene`` does, and where there is
-    none."""
+    """Returns the nodes of the FBX file ``payload`` in the animation called ``clip``, or in the longest. Raises as
+    ``read_scene`` does, and where there is none."""
     arrays = _read(payload, fault, "motion", *([] if clip is None else [clip]))
-    told = json.loads(arrays["told"].tobytes())
-    return FbxMotion(told["names"], told["parents"], arrays["rest"], arrays["moves"], told["fps"])
+    description = json.loads(arrays["description"].tobytes())
+    return FbxMotion(**description, rest=arrays["rest"], moves=arrays["moves"])
 
 
 def _read(payload: bytes, fault: Callable[[str, str, str], DrapeError], *asked: str) -> dict[str, np.ndarray]:
@@ -103,7 +111,7 @@ def _read(payload: bytes, fault: Callable[[str, str, str], DrapeError], *asked: 
         return {name: found[name] for name in found.files}
 
 
-def _mesh(arrays: dict[str, np.ndarray], number: int, told: dict[str, Any]) -> FbxMesh:
+def _mesh(arrays: dict[str, np.ndarray], number: int, named: dict[str, Any]) -> FbxMesh:
     names = ("vertices", "corners", "polygons", "face_material", "placed")
     own = {name: arrays[f"{number}.{name}"] for name in names}
-    return FbxMesh(name=told["name"], **own, uv=arrays.get(f"{number}.uv"), materials=told["materials"])
+    return FbxMesh(**named, **own, uv=arrays.get(f"{number}.uv"))

@@ -1,10 +1,10 @@
-"""Reads the FBX file on standard input by the package ufbx; writes what is in it as an npz to standard output.
+"""Reads the FBX file on standard input by the package ufbx; writes its contents as an npz to standard output.
 
-With the argument ``motion`` these are its nodes in the frames of its longest animation, or of that which is named.
+With the argument ``motion`` these are its nodes in the frames of its longest animation, or of the one that is named.
 
-A process of its own: ufbx 0.0.5 frees memory that is still in use (``mesh.faces``, a material's maps), and then it
-crashes. Here every object is kept until the process ends, which it does without freeing any. It limits itself, since
-files are strangers'.
+It is a process of its own, since ufbx 0.0.5 frees memory that is still in use (``mesh.faces``, a material's maps), and
+then it crashes. Here every object is kept until the process ends, which it does without freeing any. It limits its own
+memory and time, since files are strangers'.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 MEMORY_BYTES, CPU_S = 3 * 2**30, 60
-DEEPEST = 500  # nodes within each other
+DEEPEST = 500  # Nodes may lie so deep within each other.
 MOST_NUMBERS = 60_000_000
-MOST_MATRICES = 600_000  # of frames and nodes
+MOST_MATRICES = 600_000  # Frames times nodes.
 NUMBERS = ("base_factor", "metalness", "roughness", "opacity")
 MAPS = {
     "base_color": ("pbr",),
@@ -34,12 +34,11 @@ MAPS = {
 _KEPT: list[Any] = []
 
 
-def _of(one: Any, *names: str | int) -> Any:
-    """An attribute, or an item, of an attribute of ``one``, with all on the way to it kept."""
-    for name in names:
-        one = one[name] if isinstance(name, int) else getattr(one, name)
-        _KEPT.append(one)
-    return one
+def _of(owner: Any, name: str | int) -> Any:
+    """The attribute, or the item, ``name`` of ``owner``, kept until the process ends."""
+    value = owner[name] if isinstance(name, int) else getattr(owner, name)
+    _KEPT.append(value)
+    return value
 
 
 def _all(held: Any) -> list[Any]:
@@ -47,7 +46,8 @@ def _all(held: Any) -> list[Any]:
 
 
 def main() -> None:
-    """Ends with status 3 where ufbx says what is wrong; that is on standard output then."""
+    """Writes the npz to standard output and ends the process with status 0. Where ufbx cannot read the file it writes
+    why, and ends with status 3."""
     gc.disable()
     resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S + 1))
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
@@ -70,7 +70,7 @@ def main() -> None:
             target_unit_meters=1.0,
         )
         _KEPT.append(scene)
-        np.savez(out, allow_pickle=False, **(_motion(scene, *sys.argv[2:3]) if moving else _told(scene)))
+        np.savez(out, allow_pickle=False, **(_motion(scene, *sys.argv[2:3]) if moving else _contents(scene)))
     except (ufbx.UfbxError, MemoryError, ValueError) as error:
         out, status = io.BytesIO(f"{type(error).__name__.removesuffix('Error')}: {error}"[:200].encode()), 3
     sys.stdout.buffer.write(out.getbuffer())
@@ -78,7 +78,7 @@ def main() -> None:
     os._exit(status)
 
 
-def _told(scene: Any) -> dict[str, np.ndarray]:
+def _contents(scene: Any) -> dict[str, np.ndarray]:
     """The arrays of the visible meshes, the pictures, and as JSON what names and numbers there are."""
     materials, textures = _all(_of(scene, "materials")), list[Any]()
     arrays: dict[str, np.ndarray] = {}
@@ -107,7 +107,7 @@ def _told(scene: Any) -> dict[str, np.ndarray]:
         "materials": looks,
         "pictures": files,
     }
-    return arrays | {"told": np.frombuffer(json.dumps(description).encode(), dtype=np.uint8)}
+    return arrays | {"description": np.frombuffer(json.dumps(description).encode(), dtype=np.uint8)}
 
 
 def _motion(scene: Any, clip: str | None = None) -> dict[str, np.ndarray]:
@@ -130,12 +130,16 @@ def _motion(scene: Any, clip: str | None = None) -> dict[str, np.ndarray]:
     anim = _of(longest, "anim")
     for number, node in enumerate(nodes):
         for frame in range(frames):
-            told = ufbx.evaluate_transform(anim, node, longest.time_begin + frame / rate)
-            moves[frame, number] = [*told.translation, *told.rotation, *told.scale]
-            _KEPT.append(told)
+            placed = ufbx.evaluate_transform(anim, node, longest.time_begin + frame / rate)
+            moves[frame, number] = [*placed.translation, *placed.rotation, *placed.scale]
+            _KEPT.append(placed)
     rest = np.array([np.array(_of(node, "node_to_world"), dtype=np.float64).T for node in nodes])
-    told = {"names": [node.name for node in nodes], "parents": parents, "fps": rate}
-    return {"moves": moves, "rest": rest, "told": np.frombuffer(json.dumps(told).encode(), dtype=np.uint8)}
+    description = {"names": [node.name for node in nodes], "parents": parents, "fps": rate}
+    return {
+        "moves": moves,
+        "rest": rest,
+        "description": np.frombuffer(json.dumps(description).encode(), dtype=np.uint8),
+    }
 
 
 def _arrays(node: Any, mesh: Any) -> dict[str, np.ndarray]:
@@ -165,7 +169,8 @@ def _look(material: Any, textures: list[Any]) -> dict[str, Any]:
     for name, places in MAPS.items():
         for held in (_of(sides[side], name) for side in places):
             texture = _of(held, "texture") if held.texture_enabled else None
-            files = [] if texture is None else _all(_of(texture, "file_textures"))  # of layers the lowest
+            # Of several layers the lowest is read.
+            files = [] if texture is None else _all(_of(texture, "file_textures"))
             if files and name not in look["pictures"]:
                 known = [one.element_id for one in textures]
                 if files[0].element_id not in known:

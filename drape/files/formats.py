@@ -8,14 +8,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-HEAD_BYTES = 2048  # the beginning of a file, by which its format is known
+HEAD_BYTES = 2048  # A file's format is known by so many bytes at its beginning.
 
 
 @dataclass(frozen=True)
 class MeshFormat:
-    """One format: its ``name``, which is the suffix of its files too, the media types that HTTP knows it by, the reader
-    as ``module.function`` in ``drape.garment.files``, whether a payload is of this format by its bytes, and whether it
-    names files beside it."""
+    """One format of garment files.
+
+    ``name`` is also the suffix of its files, and ``content_types`` are its media types. ``reader`` is the function that
+    reads it, as ``module.function`` in ``drape.garment.files``. ``fits`` says whether a payload is of this format by
+    its bytes. ``names_others``: such a file names files beside it.
+    """
 
     name: str
     content_types: tuple[str, ...]
@@ -71,16 +74,17 @@ MESH_FORMATS: tuple[MeshFormat, ...] = (
 MESH_NAMES: tuple[str, ...] = tuple(one.name for one in MESH_FORMATS)
 AVATAR_SUFFIXES = (".glb", ".vrm")
 MESH_SUFFIXES: tuple[str, ...] = tuple(one.suffix for one in MESH_FORMATS)
-BESIDE_SUFFIXES = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".webp", ".tga", ".bmp", ".ktx2")  # of what meshes name
+# Meshes name files with these suffixes.
+BESIDE_SUFFIXES = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".webp", ".tga", ".bmp", ".ktx2")
 MESH_CONTENT_TYPES: dict[str, str] = {kind: one.name for one in MESH_FORMATS for kind in one.content_types}
 
 
-def listed() -> str:
-    """The names for a sentence: ``OBJ, GLB, GLTF, ..., USDZ or ZIP``."""
+def format_list() -> str:
+    """Returns the names of all formats for a sentence: ``OBJ, GLB, GLTF, ..., USDZ or ZIP``."""
     *first, final = (name.upper() for name in MESH_NAMES)
     return f"{', '.join(first)} or {final}"
 
 
 def sniff(payload: bytes) -> MeshFormat:
-    """The format of a mesh by its bytes; the first of the table where nothing else fits."""
+    """Returns the format of a mesh by its bytes; OBJ, which has no mark of its own, where nothing else fits."""
     return next((one for one in MESH_FORMATS if one.fits(payload)), MESH_FORMATS[0])

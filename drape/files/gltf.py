@@ -17,20 +17,20 @@ import numpy as np
 
 from drape.errors import MeshError
 from drape.files.gltf_compressed import DRACO, MESHOPT, draco_parts, meshopt_view
-from drape.files.gltf_json import EXPORT, SHRINK, Document, document_of, shown
+from drape.files.gltf_json import EXPORT, SHRINK, Document, document_of, excerpt
 
 FILE_BYTES = 96 * 2**20
 JSON_BYTES = 16 * 2**20
-MOST_NUMBERS = 16_000_000  # of an accessor: a million vertices have three million
+MOST_NUMBERS = 16_000_000  # The most numbers of an accessor: a million vertices have three million.
 COMPONENTS = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 
 
 class GltfFile:
-    """The checked ``document`` of a GLB or glTF file and its arrays. Refuses (``MeshError``) bytes that are neither.
+    """The checked ``document`` of a GLB or glTF file, and its arrays. Raises ``MeshError`` for bytes that are neither.
 
-    ``beside`` gives the files that a glTF names.
+    ``beside`` returns the bytes of a file that a glTF names, or None. ``label`` names the file in refusals.
     """
 
     def __init__(
@@ -53,24 +53,26 @@ class GltfFile:
         }
 
     def item(self, key: str, index: Any, said: str = "") -> Any:
-        """Returns entry ``index`` of the document's list ``key``. Refuses an index that the list does not have, by the
-        name ``said`` of the field that has it."""
+        """Returns entry ``index`` of the document's list ``key``. Raises ``MeshError`` for an index that the list does
+        not have; it names the field ``said``, where the index stood."""
         rows = getattr(self.document, key)
         if type(index) is not int or not 0 <= index < len(rows):
-            raise self._fault(said or key, f"an index of {key} below {len(rows)}", shown(index))
+            raise self._fault(said or key, f"an index of {key} below {len(rows)}", excerpt(index))
         return rows[index]
 
     def count(self, index: Any) -> int:
-        """How many rows accessor ``index`` says that it has; 0 where that is no number, which ``array`` refuses."""
+        """Returns how many rows accessor ``index`` says that it has; 0 where that is no number, which ``array``
+        refuses."""
         said = self.item("accessors", index, "primitives").get("count")
         return min(said, 10**9) if type(said) is int else 0
 
     def array(self, index: Any) -> np.ndarray:
-        """Accessor ``index``: (N, width), of numbers that are normalised where the file says so."""
+        """Returns accessor ``index`` as (N, width), in the type that the file has, or float64 where its numbers are
+        normalised. Raises ``MeshError`` for one that is damaged or too large."""
         accessor, count = self.item("accessors", index), self.count(index)
         kind, width = _known(COMPONENTS, accessor.get("componentType")), _known(WIDTHS, accessor.get("type"))
         if kind is None or width is None or not 0 < count * width <= MOST_NUMBERS:
-            got = ", ".join(shown(accessor.get(key)) for key in ("componentType", "type", "count"))
+            got = ", ".join(excerpt(accessor.get(key)) for key in ("componentType", "type", "count"))
             raise self._fault(f"accessors[{index}]", f"numbers of a known type, at most {MOST_NUMBERS:,}", got)
         if index in self._draco:
             values = self._from_draco(index, count, width, kind)
@@ -90,8 +92,8 @@ class GltfFile:
         """Accessor ``index`` of a primitive that Draco packed."""
         if index not in self._unpacked:
             primitive = self._draco[index]
-            told = primitive.extensions[DRACO]
-            view = told.get("bufferView") if isinstance(told, dict) else None
+            entry = primitive.extensions[DRACO]
+            view = entry.get("bufferView") if isinstance(entry, dict) else None
             self._unpacked |= draco_parts(self.view(view, "Draco's bufferView"), primitive, f"{self.label}: Draco")
         unpacked = self._unpacked.get(index)
         if unpacked is None or unpacked.shape != (count, width):
@@ -100,23 +102,23 @@ class GltfFile:
         return unpacked.astype(kind)
 
     def picture(self, index: Any) -> bytes | None:
-        """Returns the file of image ``index`` as it came; None if the image has no bytes anywhere."""
+        """Returns the bytes of image ``index`` as they came; None if the image has none anywhere."""
         held = self.item("images", index, "textures.source")
         return self.view(held["bufferView"], "images") if "bufferView" in held else self._named(held.get("uri"))
 
     def view(self, index: Any, said: str) -> bytes:
-        """Returns the bytes of buffer view ``index``, unpacked if they are packed. Refuses an index that does not
-        exist, by the name ``said`` of the field that has it."""
+        """Returns the bytes of buffer view ``index``, unpacked if they are packed. Raises ``MeshError`` for a damaged
+        view, and for an index that does not exist; it names the field ``said``, where the index stood."""
         held = self.item("buffer_views", index, said)
         if index not in self._views:
             extensions = held.get("extensions")
             packed = extensions.get(MESHOPT) if isinstance(extensions, dict) else None
-            told = held if packed is None else packed
-            if not isinstance(told, dict):
-                raise self._fault(f"bufferViews[{index}]", "an object", shown(told))
-            start, size, buffer = (told.get(key, 0) for key in ("byteOffset", "byteLength", "buffer"))
+            entry = held if packed is None else packed
+            if not isinstance(entry, dict):
+                raise self._fault(f"bufferViews[{index}]", "an object", excerpt(entry))
+            start, size, buffer = (entry.get(key, 0) for key in ("byteOffset", "byteLength", "buffer"))
             if not all(type(one) is int and one >= 0 for one in (start, size, buffer)):
-                raise self._fault(f"bufferViews[{index}]", "whole numbers", ", ".join(map(shown, (start, size))))
+                raise self._fault(f"bufferViews[{index}]", "whole numbers", ", ".join(map(excerpt, (start, size))))
             content = self._buffer(buffer)
             if start + size > len(content):
                 raise self._fault(f"bufferViews[{index}]", f"at most {len(content)} bytes", f"{start + size}")
@@ -132,7 +134,7 @@ class GltfFile:
             content = self._binary if uri is None and index == 0 else self._named(uri)
             if content is None:
                 cure = "Send it in the same zip, or export as one GLB file."
-                raise self._fault(f"buffers[{index}]", "bytes in the file or beside it", shown(uri), cure)
+                raise self._fault(f"buffers[{index}]", "bytes in the file or beside it", excerpt(uri), cure)
             self._buffers[index] = content
         return self._buffers[index]
 
@@ -156,7 +158,7 @@ class GltfFile:
         except (KeyError, TypeError) as error:
             raise self._fault("accessor.sparse", "count, indices and values", str(error)[:40]) from error
         if not isinstance(count, int) or not 0 < count <= len(array) or index_kind in (None, np.float32):
-            raise self._fault("accessor.sparse", f"at most {len(array)} whole indices", shown(count))
+            raise self._fault("accessor.sparse", f"at most {len(array)} whole indices", excerpt(count))
         rows = self._rows(views[0], where.get("byteOffset", 0), count, 1, index_kind)[:, 0].astype(np.int64)
         if rows.min() < 0 or rows.max() >= len(array):
             raise self._fault("accessor.sparse", f"indices below {len(array)}", str(rows.max()))
@@ -172,7 +174,7 @@ class GltfFile:
         stride = row if stride is None else stride
         numbers = (stride, offset, count)
         if not all(type(one) is int and one >= 0 for one in numbers):
-            raise self._fault(f"bufferViews[{view}]", "whole numbers", ", ".join(map(shown, numbers)))
+            raise self._fault(f"bufferViews[{view}]", "whole numbers", ", ".join(map(excerpt, numbers)))
         if stride < row or offset + (count - 1) * stride + row > len(content):
             got = f"{len(content)} bytes of {stride}"
             raise self._fault(f"bufferViews[{view}]", f"{count} rows of {row} bytes", got)

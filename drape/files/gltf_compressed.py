@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from drape.errors import MeshError
-from drape.files.gltf_json import EXPORT, Primitive, shown
+from drape.files.gltf_json import EXPORT, Primitive, excerpt
 
 DRACO, MESHOPT = "KHR_draco_mesh_compression", "EXT_meshopt_compression"
 MOST_BYTES = 192 * 2**20
@@ -28,9 +28,9 @@ def _library(name: str, label: str) -> Any:
 
 
 def draco_parts(payload: bytes, primitive: Primitive, label: str) -> dict[int, np.ndarray]:
-    """Rows (N, width) of each accessor of ``primitive`` that is in its Draco ``payload``."""
-    library, told = _library("DracoPy", label), primitive.extensions[DRACO]
-    ids = told.get("attributes")
+    """Returns the rows (N, width) of each accessor of ``primitive`` that its Draco ``payload`` has, by the accessor's
+    index. Raises ``MeshError`` where it cannot be unpacked, or DracoPy is not installed."""
+    library, ids = _library("DracoPy", label), primitive.extensions[DRACO].get("attributes")
     try:
         mesh = library.decode(payload)
         held = {one["unique_id"]: one["data"] for one in mesh.attributes}
@@ -43,24 +43,24 @@ def draco_parts(payload: bytes, primitive: Primitive, label: str) -> dict[int, n
             arrays[primitive.indices] = np.asarray(mesh.faces).reshape(-1, 1)
     except MemoryError:
         raise
-    except Exception as error:  # a broken file can raise anything inside the library
+    except Exception as error:  # A broken file can raise anything inside the library.
         got = f"{type(error).__name__}: {error}"[:80]
         raise MeshError(label, expected="a mesh that can be unpacked", got=got, cure=EXPORT) from error
     return arrays
 
 
-def meshopt_view(payload: bytes, told: dict[str, Any], label: str) -> bytes:
-    """Returns the unpacked bytes of a buffer view; ``told`` is the extension's entry, which says how meshoptimizer has
-    packed it."""
-    count, stride = (one if type(one := told.get(key)) is int else 0 for key in ("count", "byteStride"))
-    mode, filter_name = told.get("mode"), told.get("filter", "NONE")
+def meshopt_view(payload: bytes, entry: dict[str, Any], label: str) -> bytes:
+    """Returns the unpacked bytes of a buffer view. ``entry`` is that of the extension, which says how ``payload`` is
+    packed. Raises ``MeshError`` where it cannot be unpacked, or meshoptimizer is not installed."""
+    count, stride = (one if type(one := entry.get(key)) is int else 0 for key in ("count", "byteStride"))
+    mode, filter_name = entry.get("mode"), entry.get("filter", "NONE")
     wide = mode == "ATTRIBUTES"
     decode, sides = FILTERS.get(filter_name, ("", ())) if isinstance(filter_name, str) else ("", ())
     right = mode in ("ATTRIBUTES", "TRIANGLES", "INDICES") and 0 < count * stride <= MOST_BYTES
     right = right and (0 < stride <= 256 and stride % 4 == 0 if wide else stride in (2, 4))
     right = right and (mode != "TRIANGLES" or count % 3 == 0) and (filter_name == "NONE" or (wide and stride in sides))
     if not right:
-        got = ", ".join(map(shown, (count, stride, mode, filter_name)))
+        got = ", ".join(map(excerpt, (count, stride, mode, filter_name)))
         raise MeshError(label, expected="count, byteStride, mode and filter that go together", got=got, cure=EXPORT)
     library = _library("meshoptimizer", label)
     try:

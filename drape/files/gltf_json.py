@@ -12,17 +12,19 @@ from pydantic.alias_generators import to_camel
 
 from drape.errors import MeshError
 
-MOST_MARKS = 2_000_000  # commas, colons and brackets: the parser's objects; a character with 76 clips has 283,000
+# Commas, colons and brackets, as many as the parser makes objects: a character with 76 clips has 283,000.
+MOST_MARKS = 2_000_000
 MOST_NODES = 4096
-FIRST_ONLY = Field(fail_fast=True)  # one fault of a list is told, however many it has
-READ_WITHOUT = re.compile(  # extensions of clips and light, which are not read, and those that are
+FIRST_ONLY = Field(fail_fast=True)  # Only the first fault of a list is reported.
+# Extensions that are read, and those of materials, lights and clips, which do not change meshes.
+READ_WITHOUT = re.compile(
     r"(KHR_materials|KHR_texture|EXT_texture|MSFT_texture|KHR_lights|KHR_xmp|KHR_animation|VRMC)_\w+"
     r"|VRM|KHR_mesh_quantization|KHR_draco_mesh_compression|EXT_meshopt_compression"
 )
 EXPORT, SHRINK = "Export it again.", "Remove custom properties (extras) and clips."
 
 Index = Annotated[int, Field(ge=0)]
-Text = Annotated[str, Field(max_length=1000)]  # with a length, or else pydantic takes what UTF-8 cannot say
+Text = Annotated[str, Field(max_length=1000)]  # Without a length pydantic takes text that UTF-8 cannot encode.
 Indices = Annotated[list[Index], FIRST_ONLY]
 Objects = Annotated[list[dict[str, Any]], FIRST_ONLY]
 Number = Annotated[float, Field(ge=-1e9, le=1e9)]
@@ -32,13 +34,14 @@ Sixteen = Annotated[list[Number], Field(min_length=16, max_length=16), FIRST_ONL
 
 
 class Part(BaseModel):
-    """A part of the JSON, read strictly."""
+    """A part of a glTF document. Types are checked strictly, and fields that it does not name are passed over."""
 
     model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False, alias_generator=to_camel)
 
 
 class Node(Part):
-    """A node: its transform is ``matrix``, column by column, or else the three others; ``rotation`` is x, y, z, w."""
+    """A node. Its transform is ``matrix``, column by column, or else made of ``translation``, ``rotation`` (a
+    quaternion xyzw) and ``scale``. Other fields are indices."""
 
     name: Text | None = None
     children: Indices = []
@@ -52,7 +55,8 @@ class Node(Part):
 
 
 class Primitive(Part):
-    """A primitive: accessors of its ``attributes`` and ``indices``; ``mode`` 4 are triangles."""
+    """A primitive of a mesh: the accessors of its ``attributes`` by their names, that of its ``indices``, and its
+    material. ``mode`` 4 is triangles."""
 
     attributes: dict[Text, Index]
     indices: Index | None = None
@@ -62,14 +66,14 @@ class Primitive(Part):
 
 
 class Mesh(Part):
-    """A mesh."""
+    """A mesh: its primitives."""
 
     name: Text | None = None
     primitives: Annotated[list[Primitive], FIRST_ONLY]
 
 
 class GltfSkin(Part):
-    """A skin: the nodes of its joints, and the accessor of their inverse bind matrices."""
+    """A skin: the nodes that are its joints, and the accessor of their inverse bind matrices."""
 
     joints: Indices
     inverse_bind_matrices: Index | None = None
@@ -107,19 +111,19 @@ class PlacedBones(Part):
 
 
 class Vrm(Part):
-    """A VRM 0."""
+    """The extension of a VRM 0."""
 
     humanoid: NamedBones
 
 
 class VrmcVrm(Part):
-    """A VRM 1."""
+    """The extension of a VRM 1 or a VRMA."""
 
     humanoid: PlacedBones
 
 
 class Extensions(Part):
-    """Extensions that say which node is which bone."""
+    """The extensions that say which node is which bone: of VRM 0, VRM 1 and VRMA."""
 
     vrm: Annotated[Vrm | None, Field(alias="VRM")] = None
     vrmc_vrm: Annotated[VrmcVrm | None, Field(alias="VRMC_vrm")] = None
@@ -127,7 +131,7 @@ class Extensions(Part):
 
     @property
     def humanoid(self) -> dict[str, int]:
-        """The nodes of VRM's bones, none where the file is no VRM and no VRMA."""
+        """The nodes of VRM's bones by the bones' names, empty where the file is no VRM and no VRMA."""
         if one := self.vrmc_vrm or self.vrmc_vrm_animation:
             return {name: bone.node for name, bone in one.humanoid.human_bones.items()}
         bones = [] if self.vrm is None else self.vrm.humanoid.human_bones
@@ -184,10 +188,10 @@ def _refusal(error: ValidationError, label: str) -> MeshError:
     first = error.errors(include_url=False)[0]
     field = "".join(f"[{part}]" if isinstance(part, int) else f".{part[:60]}" for part in first["loc"]).lstrip(".")
     wanted = re.sub(r"^([A-Z]\w+ should (be |have )?)| after validation.*| or instance of \w+", "", first["msg"])
-    expected, got = ("a value", "nothing") if first["type"] == "missing" else (wanted, shown(first["input"]))
+    expected, got = ("a value", "nothing") if first["type"] == "missing" else (wanted, excerpt(first["input"]))
     return MeshError(f"{label}: {field or 'JSON'}", expected=expected, got=got, cure=EXPORT)
 
 
-def shown(value: Any) -> str:
-    """Returns a few words that show the ``value`` of a document, however deep it is."""
+def excerpt(value: Any) -> str:
+    """Returns at most 60 letters that show the ``value`` of a document, however deep it is."""
     return f"a {type(value).__name__} of {len(value)}" if isinstance(value, (dict, list)) else repr(value)[:60]

@@ -11,11 +11,12 @@ from drape.errors import MeshError
 from drape.files.gltf import GltfFile
 from drape.files.gltf_json import EXPORT, Node
 
-MOST_DEPTH = 256  # of a node below those above it
+MOST_DEPTH = 256  # A node has at most so many nodes above it.
 
 
 def tree_of(file: GltfFile) -> tuple[list[int], tuple[int, ...]]:
-    """The file's nodes, parents first, and the place of each one's parent among them."""
+    """Returns the indices of the file's nodes, parents before children, and for each the place of its parent in that
+    order, -1 for none. Raises ``MeshError`` for nodes that are no tree, or too deep."""
     nodes = file.document.nodes
     parent, depth = np.full(len(nodes), -1), np.zeros(len(nodes), dtype=np.int64)
     for number, node in enumerate(nodes):
@@ -43,7 +44,8 @@ def _no_tree(file: GltfFile, got: str) -> MeshError:
 
 
 def node_matrix(node: Node) -> np.ndarray:
-    """The transform (4, 4) of a glTF ``node`` relative to its parent; of a quaternion without length none."""
+    """Returns the transform (4, 4) of a glTF ``node`` relative to its parent. A quaternion without length turns
+    nothing."""
     placed = np.eye(4)
     if node.matrix is not None:
         return np.array(node.matrix).reshape(4, 4).T
@@ -55,7 +57,8 @@ def node_matrix(node: Node) -> np.ndarray:
 
 
 def world_matrices(local: np.ndarray, parents: Sequence[int]) -> np.ndarray:
-    """World transforms (..., N, 4, 4) of nodes whose own are ``local`` (..., N, 4, 4), parents before children."""
+    """Returns the world transforms (..., N, 4, 4) of nodes whose transforms relative to their parents are ``local``
+    (..., N, 4, 4). ``parents`` (N,) are indices below the node's own, or -1."""
     world = np.array(local)
     for node, parent in enumerate(parents):
         if parent >= 0:

@@ -14,13 +14,14 @@ if TYPE_CHECKING:
     from PIL import Image
 
 SIGNATURE = b"\xabKTX 20\xbb\r\n\x1a\n"
-SIZE_AT = 20  # of width and height
+SIZE_AT = 20  # Width and height begin at this byte.
 
 
 def ktx2_picture(payload: bytes, *, side: int, most_pixels: int, label: str) -> Image.Image:
-    """The picture in a KTX2 file, RGBA: the smallest of its sizes whose longer side is ``side`` [pixels] or more.
+    """Returns the picture in a KTX2 file as RGBA: the smallest of its sizes whose longer side is ``side`` [pixels] or
+    more, else the largest.
 
-    Refuses (``MeshError``) where the package is not there; a broken file raises anything, and one with more than
+    Raises ``MeshError`` where the package is not installed. A broken file raises anything, and one with more than
     ``most_pixels`` raises ``DecompressionBombError``.
     """
     from PIL import Image

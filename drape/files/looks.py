@@ -45,67 +45,68 @@ _MATERIALS = TypeAdapter(list[Material | None])
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """``materials``, one for each of a mesh's, None where its file says nothing, and the files of ``pictures``."""
+    """How the materials of a mesh look: ``materials``, None where its file says nothing of one, and the ``pictures``
+    that they show, each a PNG or JPEG file."""
 
     materials: tuple[Material | None, ...] = ()
     pictures: tuple[bytes, ...] = ()
 
     def material(self, index: int) -> Material | None:
-        """The look of material ``index``, None where there is none."""
+        """Returns the look of material ``index``; None where there is none."""
         return self.materials[index] if index < len(self.materials) else None
 
     @property
     def digest(self) -> str:
-        """The hex digest of everything in it, empty where no material has a look."""
+        """The sha256 (hexadecimal) of materials and pictures; empty where no material has a look."""
         if not any(self.materials):
             return ""
         text = json.dumps(self.to_json(), sort_keys=True).encode()
         return hashlib.sha256(b"\0".join([text, *(hashlib.sha256(one).digest() for one in self.pictures)])).hexdigest()
 
     def to_json(self) -> dict[str, Any]:
-        """The materials, and how many bytes each picture has; ``looks_of`` reads it."""
-        told = [None if one is None else asdict(one) for one in self.materials]
-        return {"materials": told, "picture_bytes": [len(one) for one in self.pictures]}
+        """Returns the materials and how many bytes each picture has, as an object of JSON that ``looks_of`` reads."""
+        materials = [None if one is None else asdict(one) for one in self.materials]
+        return {"materials": materials, "picture_bytes": [len(one) for one in self.pictures]}
 
 
 NO_LOOKS = Looks()
 
 
 def media_type(picture: bytes) -> str:
-    """The media type of a picture of a garment; raises ``ValueError`` for any other bytes."""
+    """Returns the media type of a PNG or JPEG file. Raises ``ValueError`` for any other bytes."""
     found = [kind for mark, kind in MEDIA_TYPES.items() if picture.startswith(mark)]
     if not found:
         raise ValueError("neither PNG nor JPEG")
     return found[0]
 
 
-def looks_of(told: dict[str, Any], content: np.ndarray) -> Looks:
-    """Returns the looks that ``to_json`` described as ``told``; ``content`` holds the bytes of all pictures, one after
-    the other.
+def looks_of(description: dict[str, Any], content: np.ndarray) -> Looks:
+    """Returns the looks that ``description`` describes, which ``Looks.to_json`` returned. ``content`` (n,), uint8, are
+    the bytes of all pictures, one after the other.
 
     Raises ``ValueError`` or ``TypeError`` where the two do not fit.
     """
-    sizes = [int(one) for one in told["picture_bytes"]]
-    materials, data = tuple(_MATERIALS.validate_python(told["materials"])), content.astype(np.uint8).tobytes()
-    used = [number for one in materials if one for number in one.pictures.values()]
+    sizes = list(map(int, description["picture_bytes"]))
+    materials, data = tuple(_MATERIALS.validate_python(description["materials"])), content.astype(np.uint8).tobytes()
+    used = [number for look in materials if look for number in look.pictures.values()]
     if min(sizes, default=0) < 0 or sum(sizes) != len(data) or max(used, default=-1) >= len(sizes):
         raise ValueError("pictures that are not as long or as many as is told")
     ends = np.cumsum([0, *sizes]).tolist()
     pictures = tuple(data[start:end] for start, end in pairwise(ends))
-    for one in pictures:
-        media_type(one)
+    for picture in pictures:
+        media_type(picture)
     return Looks(materials, pictures)
 
 
-def kept_pictures(looks: Looks, cleaned: Sequence[bytes | None]) -> Looks:
-    """Returns ``looks`` with the pictures ``cleaned`` in place of its own. A picture that is None there is taken from
-    its materials."""
-    kept = [number for number, one in enumerate(cleaned) if one is not None]
+def replace_pictures(looks: Looks, cleaned: Sequence[bytes | None]) -> Looks:
+    """Returns ``looks`` with the pictures ``cleaned`` in place of its own. Where one is None, materials show no
+    picture."""
+    numbers = [number for number, picture in enumerate(cleaned) if picture is not None]
 
-    def changed(one: Material | None) -> Material | None:
-        if one is None:
+    def changed(look: Material | None) -> Material | None:
+        if look is None:
             return None
-        left = {slot: kept.index(number) for slot, number in one.pictures.items() if number in kept}
-        return replace(one, pictures=left)
+        pictures = {slot: numbers.index(number) for slot, number in look.pictures.items() if number in numbers}
+        return replace(look, pictures=pictures)
 
-    return Looks(tuple(map(changed, looks.materials)), tuple(one for one in cleaned if one is not None))
+    return Looks(tuple(map(changed, looks.materials)), tuple(picture for picture in cleaned if picture is not None))

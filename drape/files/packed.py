@@ -16,8 +16,8 @@ import numpy as np
 UNREADABLE = (
     OSError,
     ValueError,
-    TypeError,  # a bare .npy is an array, which no `with` takes
-    AttributeError,  # a header that is no object
+    TypeError,  # A bare .npy is an array, which no `with` takes.
+    AttributeError,  # A header may be no object.
     KeyError,
     EOFError,
     zipfile.BadZipFile,
@@ -27,10 +27,9 @@ UNREADABLE = (
 """The exceptions that reading a damaged npz raises, or a file that is none."""
 
 
-def packed(arrays: Mapping[str, np.ndarray], *, quick: bool = False) -> bytes:
+def pack(arrays: Mapping[str, np.ndarray], *, quick: bool = False) -> bytes:
     """Returns the bytes of an npz with ``arrays``, compressed by LZMA, or where ``quick`` by deflate: a fifth larger,
-    in a tenth of the time. The same arrays give the same bytes, since members carry no time.
-    """
+    in a tenth of the time. The same arrays give the same bytes, since members carry no time."""
     buffer = io.BytesIO()
     kind, level = (zipfile.ZIP_DEFLATED, 1) if quick else (zipfile.ZIP_LZMA, None)
     with zipfile.ZipFile(buffer, "w", kind, compresslevel=level) as archive:
@@ -43,8 +42,8 @@ def packed(arrays: Mapping[str, np.ndarray], *, quick: bool = False) -> bytes:
 def read_packed(path: Path, *, part: str = "") -> tuple[dict[str, Any], dict[str, Any]]:
     """Returns the JSON object in the array ``header`` of the npz at ``path``, and the other arrays by name.
 
-    With ``part`` these are the arrays called PART.NAME, without it those of no part. Raises one of ``UNREADABLE`` where
-    there is no such file.
+    With ``part`` header and arrays are those called PART.NAME, by NAME; without it those whose names have no dot.
+    Raises one of ``UNREADABLE`` where the file is missing or damaged.
     """
     with np.load(path, allow_pickle=False) as stored:
         keys = {key.rpartition(".")[2]: key for key in stored.files if key.rpartition(".")[0] == part}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from drape.errors import MeshError
 from drape.files.ktx2 import SIGNATURE, ktx2_picture
-from drape.files.looks import Looks, kept_pictures
+from drape.files.looks import Looks, replace_pictures
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -15,27 +15,30 @@ if TYPE_CHECKING:
 READ = ("PNG", "JPEG", "WEBP", "TGA", "BMP")
 KINDS = ", ".join((*READ, "KTX2"))
 Channel = tuple[bytes, int]
-MOST_PIXELS = 2**26  # 8192 x 8192
+MOST_PIXELS = 2**26  # 8192 x 8192.
 LARGEST_SIDE = 2048
-MOST_BYTES = 48 * 2**20  # of the pictures of a garment, made anew
+MOST_BYTES = 48 * 2**20  # All pictures of a garment, made anew, have at most so many bytes.
 
 
-def remade(payload: bytes, *, label: str, side: int = LARGEST_SIDE) -> bytes:
-    """The picture in ``payload`` as PNG, or as JPEG if it was one, or a WebP or KTX2 without alpha; no side is longer
-    than ``side``. Refuses (``MeshError``) other formats, damaged files and more than ``MOST_PIXELS``."""
+def remake_picture(payload: bytes, *, label: str, side: int = LARGEST_SIDE) -> bytes:
+    """Returns the picture in ``payload`` as the bytes of a new file, none of whose sides is longer than ``side``
+    [pixels]: JPEG if it was a JPEG, or a WebP or KTX2 without alpha, otherwise PNG.
+
+    Raises ``MeshError`` for other formats, damaged files and more than ``MOST_PIXELS``.
+    """
     from PIL import Image
 
     try:
         with _opened(payload, side, label) as image:
             kind, (width, height) = image.format, image.size
             if width * height <= MOST_PIXELS:
-                image.draft("RGB", (side, side))  # of a JPEG that is larger only what is needed
+                image.draft("RGB", (side, side))  # Of a larger JPEG this decodes only what is needed.
                 has_alpha = "A" in image.getbands() or "transparency" in image.info
                 plain = image.convert("RGBA" if has_alpha else "RGB")
                 if has_alpha and plain.getchannel("A").getextrema() == (255, 255):
                     plain = plain.convert("RGB")
                 plain.thumbnail((side, side))
-                plain.info.clear()  # comments and profiles would be written again
+                plain.info.clear()  # Comments and profiles would be written again.
                 out = io.BytesIO()
                 if kind in ("JPEG", "WEBP", None) and plain.mode == "RGB":
                     plain.save(out, "JPEG", quality=92)
@@ -44,7 +47,7 @@ def remade(payload: bytes, *, label: str, side: int = LARGEST_SIDE) -> bytes:
                 return out.getvalue()
     except (MemoryError, MeshError):
         raise
-    except Exception as error:  # a broken file can raise anything inside the library
+    except Exception as error:  # A broken file can raise anything inside the library.
         got = "too many pixels" if isinstance(error, Image.DecompressionBombError) else f"{type(error).__name__}"
         raise MeshError(label, expected=f"a whole {KINDS}", got=got, cure="Export it again.") from error
     got = f"{width} x {height}"
@@ -59,13 +62,14 @@ def _opened(payload: bytes, side: int, label: str) -> Image.Image:
     return Image.open(io.BytesIO(payload), formats=READ)
 
 
-def with_remade(looks: Looks) -> tuple[Looks, tuple[str, ...]]:
-    """Returns ``looks`` with its pictures made anew; one that cannot be is left out, and a warning says why."""
+def remake_pictures(looks: Looks) -> tuple[Looks, tuple[str, ...]]:
+    """Returns ``looks`` with its pictures made anew, and warnings. A picture that cannot be made is left out, and a
+    warning says why."""
     cleaned: list[bytes | None] = []
     notes, size = [], 0
     for number, picture in enumerate(looks.pictures, start=1):
         try:
-            png = remade(picture, label=f"picture {number}")
+            png = remake_picture(picture, label=f"picture {number}")
             size += len(png)
             if size > MOST_BYTES:
                 most, cure = f"at most {MOST_BYTES >> 20} MiB of pictures", "Export them smaller."
@@ -74,12 +78,13 @@ def with_remade(looks: Looks) -> tuple[Looks, tuple[str, ...]]:
         except MeshError as error:
             notes.append(f"warning: a picture is left out: {error}")
             cleaned.append(None)
-    return kept_pictures(looks, cleaned), tuple(notes)
+    return replace_pictures(looks, cleaned), tuple(notes)
 
 
 def metallic_roughness(metallic: Channel | None, roughness: Channel | None, *, label: str) -> bytes:
-    """The picture that glTF takes: roughness in green and metallic in blue, each from a channel (0 to 3) of a picture
-    as it came; white where there is none. Refuses (``MeshError``) what ``remade`` does."""
+    """Returns the PNG file that glTF takes: roughness in green and metallic in blue, each from a channel (0 to 3) of
+    the bytes of a picture; white where there is none. At least one is given. Raises ``MeshError`` as ``remake_picture``
+    does."""
     from PIL import Image
 
     planes = [None if one is None else _channel(*one, label=label) for one in (roughness, metallic)]
@@ -94,5 +99,5 @@ def metallic_roughness(metallic: Channel | None, roughness: Channel | None, *, l
 def _channel(payload: bytes, number: int, *, label: str) -> Image.Image:
     from PIL import Image
 
-    with Image.open(io.BytesIO(remade(payload, label=label))) as image:
+    with Image.open(io.BytesIO(remake_picture(payload, label=label))) as image:
         return image.convert("RGBA").getchannel(number)

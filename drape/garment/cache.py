@@ -27,7 +27,7 @@ from drape.cloth.rest_state import RestState
 from drape.errors import ArtifactError, NotFound, Unavailable, refusing
 from drape.files.atomic import whole_file
 from drape.files.looks import NO_LOOKS, Looks, looks_of
-from drape.files.packed import UNREADABLE, packed, read_packed
+from drape.files.packed import UNREADABLE, pack, read_packed
 from drape.folders import ASSETS, RUNS
 from drape.garment.bound import ARRAYS as BOUND_ARRAYS
 from drape.garment.bound import BoundMesh, Drawer
@@ -219,7 +219,7 @@ _TEXT_FIELDS = ("name", "digest", "body_digest", "vertex_count", "material_names
 
 def save_garment(garment: Garment, folder: Path, *, quick: bool = False) -> Path:
     """Writes ``garment`` into ``folder``, which is made if needed, and returns the path of the cache file. The file is
-    written atomically; ``quick`` packs it faster and larger (``files.packed``). Raises ``Unavailable`` where the folder
+    written atomically; ``quick`` packs it faster and larger (``pack``). Raises ``Unavailable`` where the folder
     cannot be made or written."""
     left_out = (*_TEXT_FIELDS, "looks", "drawn")
     arrays, drawn = {f.name: getattr(garment, f.name) for f in fields(Garment) if f.name not in left_out}, garment.drawn
@@ -244,7 +244,7 @@ def save_garment(garment: Garment, folder: Path, *, quick: bool = False) -> Path
         arrays |= {f"drawn_{name}": getattr(drawn, name) for name in BOUND_ARRAYS}
         header["drawn_materials"] = drawn.material_names
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-    content, path = packed(arrays, quick=quick), folder / garment.file_name()
+    content, path = pack(arrays, quick=quick), folder / garment.file_name()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as file:

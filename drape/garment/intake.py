@@ -28,7 +28,7 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.errors import InputError, refusing
-from drape.files.pictures import with_remade
+from drape.files.pictures import remake_pictures
 from drape.garment import avatars
 from drape.garment.accessories import bones_that_carry
 from drape.garment.body_pieces import without_bodies
@@ -161,7 +161,7 @@ HERE = {"unit": "m", "up": "y", "facing": "z", "trans": [0.0, 0.0, 0.0]}  # for 
 def intake_mesh(mesh: GarmentMesh, body: BodyModel, *, digest: str) -> Garment:
     """Returns one garment made of ``mesh``, which lies on ``body`` in T-pose, in metres, y up; nothing is stored.
     ``digest`` becomes the garment's. Raises ``InputError``."""
-    looks, notes = with_remade(mesh.looks)
+    looks, notes = remake_pictures(mesh.looks)
     named = replace(mesh, name=garment_name(mesh.name), looks=looks).noted(*notes)
     file = _File(named, b"", HERE, None, digest, DEFAULT_OPTIONS.completed_by(None))
     (garment,) = _garments_of(file, body, lambda line: None, lambda stage: None, whole=True, counted=False)

@@ -21,7 +21,7 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError
 from drape.files.atomic import whole_file
-from drape.files.packed import UNREADABLE, packed, read_packed
+from drape.files.packed import UNREADABLE, pack, read_packed
 from drape.garment.cache import Garment
 from drape.garment.charts import ChartBlend
 from drape.garment.clearance import clear_body
@@ -64,7 +64,7 @@ def save_table(table: SizeTable, path: Path) -> None:
     """Writes ``table`` to ``path``, atomically. Displacements are rounded to half a millimetre for vertices and to 50
     micrometres for panels."""
     header = {"format_version": FORMAT_VERSION, "digest": table.digest, "measures": table.measures}
-    content = packed(
+    content = pack(
         {
             "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
             "vertex": table.vertex.astype(np.uint16),

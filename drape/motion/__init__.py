@@ -1,1 +1,1 @@
-"""Motion clips: SMPL poses over time, read from AMASS and BVH files or generated."""
+"""Motion clips: SMPL poses over time, read from files or generated; poses of rigs; spring bones."""

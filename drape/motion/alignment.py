@@ -17,7 +17,7 @@ from drape.errors import MotionError
 from drape.geometry.rotations import cross, rotvec_to_matrix
 from drape.motion.t_pose import BONE_CHILD
 
-# From the ankle to the ball of a foot that stands flat.
+# The direction from the ankle to the ball of a foot that stands flat.
 SLOPING_FOOT = np.array([0.0, -0.416, 0.909])
 
 # A foot whose rest direction is this steep (horizontal share) has no heading.
@@ -43,15 +43,16 @@ def rest_alignment(
     up: np.ndarray | None = None,
     across: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Rotations ``A`` (24, 3, 3) that bring the T-pose onto the rest positions ``rest`` (J, 3).
+    """Returns the rotations ``A`` (24, 3, 3) that bring the T-pose onto the rest pose with the joints' positions
+    ``rest`` (J, 3), joint by joint.
 
-    ``sources`` tells the index of each SMPL joint that the skeleton has, ``ends`` the
-    joint that its bone points to, ``directions`` the bone's direction in the T-pose. A
-    joint without one of them keeps its parent's ``A``.
-    The pelvis follows the line of the hips and ``up`` (3,), which is the trunk's line if
-    it is not given; hips on that line are refused. The chest turns about its own bone
-    until its left lies along ``across`` (3,), the line from right to left arm, and so does a
-    leg whose foot points elsewhere than ahead.
+    ``sources`` has the index of each SMPL joint that the skeleton has, ``ends`` the name of the joint that its bone
+    points to, and ``directions`` the bone's direction in the T-pose. A joint without one of them keeps its parent's
+    ``A``.
+
+    The pelvis follows the line of the hips and ``up`` (3,), which is the trunk's line if it is not given. Hips on that
+    line are refused (``MotionError``, which names ``label``). The chest turns about its own bone until its left lies
+    along ``across`` (3,), the line from right to left arm, and so does a leg whose foot points elsewhere than ahead.
     """
     alignment = np.empty((JOINT_COUNT, 3, 3))
     alignment[0] = _pelvis_frame(rest, sources, up, label)
@@ -75,16 +76,17 @@ def rest_alignment(
             left = across - (across @ chest) * chest
             if np.linalg.norm(left) > _STEEP_ARMS * np.linalg.norm(across):
                 alignment[joint] = _frame(left, chest)
-    for joint_name in ("spine1", "spine2"):  # a short trunk turns as one, twist of the chest and all
+    for joint_name in ("spine1", "spine2"):  # A trunk of one node turns as one, with the twist of the chest.
         if "spine3" in sources and sources.get(joint_name) == sources["spine3"]:
             alignment[JOINT_NAMES.index(joint_name)] = alignment[JOINT_NAMES.index("spine3")]
     return alignment
 
 
 def world_joint_rotations(rotations: np.ndarray, sources: Mapping[str, int], alignment: np.ndarray) -> np.ndarray:
-    """World rotations (F, 24, 3, 3) of the SMPL joints, from world rotations ``D`` (F, J, 3, 3) and ``A`` (24, 3, 3).
+    """Returns the world rotations (F, 24, 3, 3) of the SMPL joints from the T-pose on. ``rotations`` (F, J, 3, 3) are
+    those of the skeleton's J joints from its rest pose on, and ``alignment`` (24, 3, 3) is that of ``rest_alignment``.
 
-    A joint that the skeleton lacks goes with its parent.
+    A joint that is not in ``sources`` goes with its parent.
     """
     turned = np.empty((len(rotations), JOINT_COUNT, 3, 3))
     for joint, joint_name in enumerate(JOINT_NAMES):
@@ -98,7 +100,8 @@ def world_joint_rotations(rotations: np.ndarray, sources: Mapping[str, int], ali
 def rest_bone(
     rest: np.ndarray, sources: Mapping[str, int], joint_name: str, ends: Mapping[str, str] = BONE_CHILD
 ) -> np.ndarray | None:
-    """Unit direction (3,) of a joint's bone in a rest pose; None where the skeleton has no such bone."""
+    """Returns the unit direction (3,) of the bone of joint ``joint_name`` at the positions ``rest`` (J, 3); None where
+    the skeleton has no such bone, or it has no length."""
     child = ends.get(joint_name)
     if child is None or joint_name not in sources or child not in sources:
         return None
@@ -108,7 +111,7 @@ def rest_bone(
 
 
 def least_turn(start: np.ndarray, end: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    """Smallest rotations (..., 3, 3) of unit vectors ``start`` (..., 3) onto ``end`` (..., 3).
+    """Returns the smallest rotations (..., 3, 3) that turn unit vectors ``start`` (..., 3) to ``end`` (..., 3).
 
     A half turn goes about a side axis of ``frame`` (..., 3, 3), since any axis would do.
     """

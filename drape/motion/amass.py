@@ -32,10 +32,11 @@ _RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "mocap_frame_rate_hz", "fps
 
 
 def read_amass(path: Path) -> MotionClip:
-    """The clip of an npz with ``poses``, ``trans`` and a frame rate, turned to y up.
+    """Returns the clip of an npz with ``poses``, ``trans`` and a frame rate, turned to y up.
 
     Flat poses (F, 72 | 66 | 156 | 165) are AMASS's: z up; so are ``root_orient`` (F, 3) with ``pose_body`` (F, 63).
-    Poses (F, 24, 3) are the product's: y up. A key ``up`` ("y" or "z") overrules. Nothing is unpickled.
+    Poses (F, 24, 3) are the product's: y up. A key ``up`` ("y" or "z") overrules. Nothing is unpickled. Raises
+    ``MotionError`` for any other file.
     """
     path = Path(path)
     try:
@@ -51,7 +52,8 @@ def read_amass(path: Path) -> MotionClip:
 
 
 def rotate_world(clip_poses: np.ndarray, trans: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses and translations after the world is turned by ``rotation`` (3, 3) about the origin."""
+    """Returns SMPL poses (F, 24, 3) [rad] and root translations (F, 3) after the world is turned by ``rotation`` (3, 3)
+    about the origin."""
     poses = clip_poses.copy()
     poses[:, 0] = matrix_to_rotvec(rotation @ rotvec_to_matrix(clip_poses[:, 0]))
     return poses, trans @ rotation.T

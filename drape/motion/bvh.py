@@ -24,17 +24,18 @@ _CHANNELS = {f"{axis}{kind}" for axis in "xyz" for kind in ("position", "rotatio
 @dataclass
 class _Joint:
     name: str
-    parent: int  # -1 of the root
+    parent: int  # The root has -1.
     offset: list[float] | None = None
     channels: list[str] = field(default_factory=list)
 
 
 def read_bvh(path: Path, *, metres_per_unit: float | None = None, up: str | None = None) -> MotionClip:
-    """The clip of a BVH file, retargeted to the 24 SMPL joints.
+    """Returns the clip of a BVH file, retargeted to the 24 SMPL joints, y up, in metres.
 
-    Channels may come in any order; a joint's rotation is the product in that order.
-    ``metres_per_unit`` None guesses the unit from the length of the legs; where none makes them a person's, the figure
-    walks as far as an adult would. ``up`` None finds the axis that the person stands along.
+    Channels may come in any order; a joint's rotation is the product in that order. ``metres_per_unit`` None guesses
+    the unit from the length of the legs; where no unit makes them a person's, the figure walks as far as an adult
+    would. ``up`` ("y", "-z", ...) is the file's vertical axis; None finds the one that the person stands along. Raises
+    ``MotionError``, which names the line, for a damaged file, and for joints of no person.
     """
     path = Path(path)
     lines = read_lines(path)
@@ -60,8 +61,8 @@ def read_bvh(path: Path, *, metres_per_unit: float | None = None, up: str | None
 def _parse_hierarchy(path: Path, lines: list[Line]) -> tuple[list[_Joint], int]:
     """The joints, parents first, and the index of the line MOTION."""
     joints: list[_Joint] = []
-    open_blocks: list[int] = []  # joint of each open brace
-    announced: list[int] = []  # named, but its brace not yet open
+    open_blocks: list[int] = []  # The joint of each open brace.
+    announced: list[int] = []  # Joints that are named, and whose brace is not open yet.
     for at, (number, words) in enumerate(lines[1:], 1):
         # Some writers open the brace on the line of the name.
         brace_follows = words[-1] == "{" and len(words) > 1
@@ -177,7 +178,8 @@ Line = tuple[int, list[str]]
 
 
 def read_lines(path: Path) -> list[Line]:
-    """The lines of a text file that hold words; comments after ``#`` are dropped."""
+    """Returns the lines of a text file that hold words, each as its number, from 1, and its words. Comments after ``#``
+    are dropped. Raises ``MotionError`` for a file that cannot be read or is too large."""
     path = Path(path)
     try:
         size = path.stat().st_size
@@ -207,12 +209,13 @@ def _decoded(payload: bytes) -> str:
 
 
 def fault(path: Path, number: int, expected: str, got: str, cure: str = "Export the file again.") -> MotionError:
-    """A refusal that names the file and the line."""
+    """Returns a refusal that names the file and the line ``number``."""
     return MotionError(f"{Path(path).name}, line {number}", expected=expected, got=got, cure=cure)
 
 
 def parse_numbers(path: Path, number: int, words: Sequence[str], *, count: int, what: str) -> list[float]:
-    """Returns the ``count`` finite numbers in ``words`` of a line; refuses any other line."""
+    """Returns the ``count`` finite numbers in ``words``, those of line ``number``. Raises ``MotionError`` for any other
+    words; ``what`` says there what the numbers are."""
     if len(words) != count:
         raise fault(path, number, f"{count} numbers for {what}", str(len(words)))
     try:

@@ -22,11 +22,12 @@ _KNOT_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MotionClip:
-    """A motion: poses and root translations at a fixed rate.
+    """A motion: SMPL poses and root translations at a fixed rate, as read-only float64.
 
-    ``poses`` (F, 24, 3): rotation vectors [rad] relative to the parent joint. ``trans`` (F, 3) [m], y up: SMPL's root
-    translation, which moves the posed body away from its rest position. ``fps``: frames a second. ``betas``: the shape
-    of the recorded person, if it is known. The arrays are kept as read-only float64.
+    ``poses`` (F, 24, 3) are rotation vectors [rad] relative to the parent joint. ``trans`` [m] (F, 3), y up, is SMPL's
+    root translation, which moves the posed body away from its rest position. ``fps``: frames a second. ``betas`` is the
+    shape of the recorded person, None if it is not known. Raises ``MotionError`` for arrays of other shapes or with
+    NaN.
     """
 
     poses: np.ndarray
@@ -45,7 +46,7 @@ class MotionClip:
         betas = None if self.betas is None else _frozen("betas", self.betas)
         if betas is not None:
             check_shape("betas", betas, (None,), error=MotionError)
-        _check_rate("fps", self.fps)
+        _check_rate(self.fps)
         object.__setattr__(self, "poses", poses)
         object.__setattr__(self, "trans", trans)
         object.__setattr__(self, "betas", betas)
@@ -60,14 +61,15 @@ class MotionClip:
 
     @property
     def duration_s(self) -> float:
-        """Time [s] from the first frame to the last."""
+        """The time [s] from the first frame to the last."""
         return (self.frame_count - 1) / self.fps
 
     def resampled(self, fps: float) -> MotionClip:
-        """The clip at ``fps``: joints by slerp, translation linearly, exact at the source's samples."""
-        _check_rate("fps", fps)
+        """Returns the clip at ``fps`` frames a second: joints by slerp, translations linearly, exact at this clip's
+        frames."""
+        _check_rate(fps)
         count = int(np.floor((self.frame_count - 1) * (fps / self.fps) + _KNOT_TOLERANCE)) + 1
-        place = np.arange(count) * (self.fps / fps)  # in source frames
+        place = np.arange(count) * (self.fps / fps)  # It counts this clip's frames.
         nearest = np.rint(place)
         place = np.where(np.abs(place - nearest) < _KNOT_TOLERANCE, nearest, place)
         before = np.minimum(np.floor(place).astype(np.int64), self.frame_count - 1)
@@ -84,7 +86,8 @@ class MotionClip:
         return replace(self, poses=poses, trans=trans, fps=fps)
 
     def window(self, start: int, count: int) -> MotionClip:
-        """Returns ``count`` consecutive frames from ``start``; refused if they run out of the clip."""
+        """Returns the clip of ``count`` frames from frame ``start`` on. Raises ``MotionError`` if they run out of this
+        clip."""
         if start < 0 or count < 1 or start + count > self.frame_count:
             raise MotionError(
                 "window",
@@ -95,13 +98,14 @@ class MotionClip:
         return replace(self, poses=self.poses[start : start + count], trans=self.trans[start : start + count])
 
     def slice(self, start_s: float, end_s: float) -> MotionClip:
-        """The frames whose time [s] lies in ``start_s <= t <= end_s``."""
+        """Returns the clip of the frames whose time [s] lies in ``start_s <= t <= end_s``. Raises ``MotionError`` as
+        ``window`` does."""
         first = int(np.ceil(start_s * self.fps - _KNOT_TOLERANCE))
         last = int(np.floor(end_s * self.fps + _KNOT_TOLERANCE))
         return self.window(first, last - first + 1)
 
     def save(self, path: Path) -> None:
-        """Writes the clip as an AMASS-like npz (``drape.motion.amass`` reads it); all or nothing."""
+        """Writes the clip to ``path`` as an npz that ``read_amass`` reads, whole or not at all. Makes the folder."""
         arrays = {
             "poses": self.poses.astype(np.float32),
             "trans": self.trans.astype(np.float32),
@@ -118,14 +122,14 @@ class MotionClip:
 
 
 def joint_steps(clip: MotionClip) -> np.ndarray:
-    """Angles [rad] (F-1, 24) of each joint's rotation from one frame to the next."""
+    """Returns the angles [rad] (F - 1, 24) by which each joint turns, relative to its parent, from frame to frame."""
     quaternions = rotvec_to_quaternion(clip.poses)
     inverse = quaternions[:-1] * np.array([1.0, -1.0, -1.0, -1.0])
     return np.linalg.norm(quaternion_to_rotvec(quaternion_multiply(inverse, quaternions[1:])), axis=-1)
 
 
 def flagged_steps(clip: MotionClip) -> np.ndarray:
-    """Whether any joint turns faster than ``FLAGGED_SPEED`` from frame i to i+1, boolean (F-1,).
+    """Returns whether any joint turns faster than ``FLAGGED_SPEED`` from frame i to i + 1, bool (F - 1,).
 
     Two orientations are never more than pi apart, so below 10 frames per second nothing is flagged.
     """
@@ -133,12 +137,14 @@ def flagged_steps(clip: MotionClip) -> np.ndarray:
 
 
 def clean_windows(clip: MotionClip, length: int, *, stride: int = 1) -> list[int]:
-    """Starts of the windows of ``length`` frames that hold no flagged step, ``stride`` frames apart."""
+    """Returns the first frames of the windows of ``length`` frames that hold no flagged step. Of every ``stride``
+    frames one is tried."""
     return clean_starts(flagged_steps(clip), length, stride=stride).tolist()
 
 
 def clean_starts(flagged: np.ndarray, length: int, *, stride: int = 1) -> np.ndarray:
-    """Returns the starts (n,) that ``clean_windows`` finds, from the ``flagged_steps`` (F - 1,) of a clip."""
+    """Returns the first frames (n,) that ``clean_windows`` returns, for the ``flagged_steps`` (F - 1,) of a clip.
+    Raises ``MotionError`` for a length or a stride below 1."""
     for name, value in (("length", length), ("stride", stride)):
         if value < 1:
             raise MotionError(name, expected="1 or more frames", got=str(value), cure=f"Choose a positive {name}.")
@@ -157,8 +163,8 @@ def _frozen(name: str, value: np.ndarray) -> np.ndarray:
     return array
 
 
-def _check_rate(name: str, fps: float) -> None:
+def _check_rate(fps: float) -> None:
     if not (np.isfinite(fps) and fps > 0.0):
         raise MotionError(
-            name, expected="a positive frame rate [1/s]", got=str(fps), cure="Pass the clip's frames per second."
+            "fps", expected="a positive frame rate [1/s]", got=str(fps), cure="Pass the clip's frames per second."
         )

@@ -9,11 +9,13 @@ import numpy as np
 from drape.errors import MotionError
 from drape.files.fbx import read_animation
 from drape.motion.clip import MotionClip
+from drape.motion.joint_names import ancestors
 from drape.motion.node_clip import MovingNodes, file_bytes, node_clip
 
 
 def read_fbx_motion(path: Path, *, clip: str | None = None) -> MotionClip:
-    """The animation called ``clip`` in an FBX file, its longest if none is named, at the file's rate.
+    """Returns the animation called ``clip`` in an FBX file, its longest if none is named, at the file's rate and
+    retargeted to the 24 SMPL joints.
 
     Raises ``MotionError`` where there is none of a person, and where ufbx is not installed.
     """
@@ -36,11 +38,7 @@ def read_fbx_motion(path: Path, *, clip: str | None = None) -> MotionClip:
 
 def _parents_first(parents: list[int]) -> tuple[list[int], list[int]]:
     """The nodes with parents before children, and the place of each one's parent among them."""
-    depth = np.zeros(len(parents), dtype=int)
-    for node, parent in enumerate(parents):
-        while parent >= 0:
-            depth[node] += 1
-            parent = parents[parent]
+    depth = [len(ancestors(parents, node)) for node in range(len(parents))]
     order = np.argsort(depth, kind="stable").tolist()
     place = {node: number for number, node in enumerate(order)}
     return order, [place[parents[node]] if parents[node] >= 0 else -1 for node in order]

@@ -18,30 +18,29 @@ from drape.geometry.rotations import matrix_to_quaternion, quaternion_slerp
 from drape.motion.clip import MotionClip
 from drape.motion.node_clip import MovingNodes, check_node_count, file_bytes, node_clip
 
-RATES = (15.0, 120.0)  # of the clip: that of its keys, within these
-ROUNDING_S = 1e-5  # of times in float32: a key so little later than a frame is at it
-SPARSE_RATE = 30.0  # where keys are farther apart than at the lowest
+RATES = (15.0, 120.0)  # A clip has the rate of its keys, within these limits.
+ROUNDING_S = 1e-5  # A key that is later than a frame by less is at it: times are float32.
+SPARSE_RATE = 30.0  # The rate of a clip whose keys are farther apart than at the lowest rate.
 WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 
 
 class ChannelTarget(Part):
-    """The target of a channel: the ``node`` that it moves, and the ``path``: translation, rotation, scale or
-    weights."""
+    """What a channel animates: the ``path`` (translation, rotation, scale or weights) of a ``node``."""
 
     node: Index | None = None
     path: Text
 
 
 class Channel(Part):
-    """A channel of an animation."""
+    """A channel of an animation: the index of its sampler, and what it animates."""
 
     sampler: Index
     target: ChannelTarget
 
 
 class Sampler(Part):
-    """The accessors of a channel's keys: ``input`` their times, ``output`` their values; ``interpolation`` says how
-    values lie between them."""
+    """The keys of a channel: the accessors ``input`` of their times [s] and ``output`` of their values.
+    ``interpolation`` says how values lie between them."""
 
     input: Index
     output: Index
@@ -49,18 +48,19 @@ class Sampler(Part):
 
 
 class Animation(Part):
-    """An animation of nodes."""
+    """An animation of nodes: its channels, and their samplers."""
 
     name: Text = ""
     channels: Annotated[list[Channel], FIRST_ONLY]
     samplers: Annotated[list[Sampler], FIRST_ONLY]
 
 
-Keys = tuple[np.ndarray, np.ndarray, str]  # times (K,) [s], values (K, n) and what lies between them
+Keys = tuple[np.ndarray, np.ndarray, str]  # Times (K,) [s], values (K, n) and how values lie between them.
 
 
 def read_gltf_motion(path: Path, *, clip: str | None = None) -> MotionClip:
-    """The animation called ``clip`` in a GLB, glTF, VRM or VRMA file, its longest if none is named.
+    """Returns the animation called ``clip`` in a GLB, glTF, VRM or VRMA file, its longest if none is named, retargeted
+    to the 24 SMPL joints.
 
     Nodes are joints by VRM's bones where the file has them, else by their names. Raises ``MotionError`` for a file
     without an animation of a person.
@@ -83,7 +83,7 @@ def _animations(file: GltfFile, clip: str | None) -> list[Animation]:
     """The animations of ``file``, or those called ``clip``."""
     held = file.document.animations
     try:
-        animations = [Animation.model_validate(one) for one in held]
+        animations = list(map(Animation.model_validate, held))
     except ValidationError as error:
         first = error.errors()[0]
         got, place = f"{first['msg']}", ".".join(map(str, first["loc"]))
@@ -91,8 +91,8 @@ def _animations(file: GltfFile, clip: str | None) -> list[Animation]:
             f"{file.label}: animations.{place[:60]}", expected="a glTF animation", got=got, cure=EXPORT
         ) from error
     if clip is not None:
-        names = ", ".join(repr(one.name) for one in animations[:40])
-        animations = [one for one in animations if one.name == clip]
+        names = ", ".join(repr(animation.name) for animation in animations[:40])
+        animations = [animation for animation in animations if animation.name == clip]
         if not animations:
             raise MotionError(f"{file.label}: clip", expected=f"one of {names}", got=repr(clip)[:60], cure="Name one.")
     if not animations:
@@ -108,7 +108,7 @@ def _tracks(file: GltfFile, animation: Animation) -> Tracks:
     tracks: Tracks = {}
     for channel in animation.channels:
         width = WIDTHS.get(channel.target.path)
-        if width is None or channel.target.node is None:  # morphs, and what extensions move
+        if width is None or channel.target.node is None:  # Morph targets are not read, nor what extensions move.
             continue
         file.item("nodes", channel.target.node, "animation.channels.target")
         if channel.sampler >= len(animation.samplers):

@@ -17,17 +17,16 @@ from drape.motion.t_pose import CANONICAL_FLOOR, CANONICAL_JOINTS, JOINT_INDEX
 # Heel behind the ankle and tip before the joint of the toes [m], for a foot of average size.
 HEEL_BEHIND = 0.045
 TIP_AHEAD = 0.065
-NOTED_M = 0.15  # from the ground: a jump lands, and a floor may have a step
+NOTED_M = 0.15  # A lowest sole so near to the ground needs no note: a jump lands, and a floor may have a step.
 
 
 def place_on_ground(clip: MotionClip, rest_joints: np.ndarray, *, floor: float) -> MotionClip:
-    """The clip for a body of ``rest_joints`` (24, 3) [m] whose soles rest at height ``floor`` [m].
+    """Returns the clip for a body of ``rest_joints`` [m] (24, 3) whose soles rest at height ``floor`` [m] in its rest
+    frame. The result's ``trans`` is SMPL's: what to add to this posed body.
 
-    The clip's ``trans`` is taken for the path of a pelvis that rests at the origin, as
-    in the sample clips and in readers' results. It is scaled by the length of the legs,
-    and each frame's height is chosen so that the lower sole keeps the distance from the
-    ground y = 0 that the clip gives it on a canonical body. The result's ``trans`` is
-    SMPL's: what to add to this posed body.
+    The clip's ``trans`` is taken for the path of a pelvis that rests at the origin, as in the sample clips and in
+    readers' results. It is scaled by the length of the legs, and each frame's height is chosen so that the lower sole
+    keeps the distance from the ground y = 0 that the clip gives it on a canonical body.
     """
     rest_joints = np.asarray(rest_joints, dtype=np.float64)
     check_shape("rest_joints", rest_joints, (JOINT_COUNT, 3), error=MotionError)
@@ -41,7 +40,12 @@ def place_on_ground(clip: MotionClip, rest_joints: np.ndarray, *, floor: float) 
 
 
 def sole_heights(local_rotations: np.ndarray, rest_joints: np.ndarray, *, floor: float) -> np.ndarray:
-    """Heights [m] (F, 2, 3) of heel, ball and tip of the left and right soles, before any translation."""
+    """Returns the heights y [m] (F, 2, 3) of heel, ball and tip of the left and right soles, before any root
+    translation.
+
+    ``local_rotations`` (F, 24, 3, 3) are relative to the parent, and ``rest_joints`` [m] (24, 3) those of a body whose
+    soles rest at height ``floor`` [m].
+    """
     rotations, joints = forward_kinematics(local_rotations, rest_joints, PARENTS)
     heights = np.empty((len(joints), 2, 3))
     for index, side in enumerate(("left", "right")):
@@ -58,8 +62,9 @@ def sole_heights(local_rotations: np.ndarray, rest_joints: np.ndarray, *, floor:
 
 
 def floor_note(poses: np.ndarray, trans: np.ndarray, rest_joints: np.ndarray, *, floor: float) -> str:
-    """A sentence for the caller if the lowest sole of ``poses`` (F, 24, 3) [rad] at ``trans`` (F, 3) [m] is far above
-    or below the ground y = 0; otherwise an empty one. ``rest_joints`` and ``floor`` as in ``place_on_ground``."""
+    """Returns a sentence for the caller if the lowest sole of ``poses`` (F, 24, 3) [rad] at ``trans`` [m] (F, 3) is
+    more than ``NOTED_M`` above or below the ground y = 0; otherwise an empty string. ``rest_joints`` and ``floor`` are
+    those of ``place_on_ground``."""
     heights = sole_heights(rotvec_to_matrix(poses), rest_joints, floor=floor).min(axis=(1, 2)) + trans[:, 1]
     lowest = float(heights.min())
     if abs(lowest) <= NOTED_M:

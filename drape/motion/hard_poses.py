@@ -16,15 +16,15 @@ from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.clip import MotionClip, clean_windows
 
 POOL_FPS = 10.0
-WINDOW = 5  # frames without a glitch around a pose
+WINDOW = 5  # So many frames around a pose have no glitch.
 UPRIGHT_COSINE = float(np.cos(np.deg2rad(45.0)))
-OVERLAP_LIMIT_PCT = 2.5  # of the body's vertices that lie inside the body: cloth cannot be there
+OVERLAP_LIMIT_PCT = 2.5  # Cloth has no room where more of the body's vertices lie inside the body.
 SKIN_M = 0.002
 
 
 @dataclass(frozen=True, eq=False)
 class HardPoses:
-    """``poses`` (F, 24, 3) [rad] without translation; ``labels`` "clip:frame"."""
+    """``poses`` (F, 24, 3) [rad] without translation, and where each comes from: ``labels`` are "clip:frame"."""
 
     poses: np.ndarray
     labels: tuple[str, ...]
@@ -33,8 +33,9 @@ class HardPoses:
 def hard_poses(clips: Sequence[MotionClip], body: BodyModel, count: int) -> HardPoses:
     """Returns ``count`` poses of ``clips``: each the farthest from the T-pose and from those before it.
 
-    Distance is between the rotation matrices of the body's joints. The root keeps its rotation; frames that lean over
-    by more than 45 degrees, lie in a flagged window, or where the body cuts into itself are passed over.
+    Distance is between the rotation matrices of the body's joints. The root keeps its rotation. Frames that lean over
+    by more than 45 degrees, lie in a flagged window, or where the body cuts into itself are passed over. Raises
+    ``InputError`` where too few are left.
     """
     pool, labels = _pool(clips)
     if len(pool) < count:
@@ -54,10 +55,11 @@ def hard_poses(clips: Sequence[MotionClip], body: BodyModel, count: int) -> Hard
 
 
 def body_overlap_pct(body: BodyModel, pose: np.ndarray) -> float:
-    """Share of the posed body's vertices, lifted by 2 mm, that lie inside the body."""
+    """Returns how many of the posed body's vertices lie inside the body after they are lifted by ``SKIN_M`` along their
+    normals, in percent. Head and hands do not count. ``pose`` is (24, 3) [rad]."""
     posed = np.ascontiguousarray(body.posed_vertices(pose[None])[0])
     lifted = posed + SKIN_M * meshes.vertex_normals(posed, body.faces)
-    detail = body.weights[:, [15, 22, 23]].sum(axis=1) > 0.5  # the mouth's inside and the fingers always touch
+    detail = body.weights[:, [15, 22, 23]].sum(axis=1) > 0.5  # The mouth's inside and the fingers always touch.
     winding = igl.fast_winding_number(posed, body.faces, np.ascontiguousarray(lifted[~detail]))
     return 100.0 * float((np.asarray(winding) > 0.5).mean())
 

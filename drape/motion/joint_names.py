@@ -63,7 +63,7 @@ _SCHEMES = {
         "hip": ("upperleg", "thigh", "upperleg01", "thighbend"),
         "knee": ("lowerleg", "calf", "shin", "lowerleg01"),
         "ankle": ("foot",),
-        "foot": ("toes", "toebase", "ball", "toe", "toe0", "toe21", "toe11"),  # MakeHuman's second toe points ahead
+        "foot": ("toes", "toebase", "ball", "toe", "toe0", "toe21", "toe11"),  # MakeHuman's second toe points ahead.
         "collar": ("shoulder", "clavicle", "collar"),
         "shoulder": ("upperarm", "upperarm01", "shldrbend", "shldr"),
         "elbow": ("lowerarm", "forearm", "lowerarm01", "forearmbend"),
@@ -82,7 +82,7 @@ _SCHEMES = {
     },
 }
 
-# Of several the first wins: necks of two or three joints are told by their lowest.
+# The first of several names wins, so a neck of two or three joints is its lowest joint.
 _NECK = ("neck", "neckm", "lowerneck", "neck0", "neck1", "neck01", "necklower", "necktwist01", "spine004", "首")
 _HEAD = ("head", "headm", "head1", "spine006", "頭")
 
@@ -92,10 +92,10 @@ _REQUIRED = ("hip", "knee", "ankle", "shoulder", "elbow")
 
 
 def match_joints(names: Sequence[str], parents: Sequence[int], *, label: str) -> dict[str, int]:
-    """SMPL joint name -> index into ``names``, for every SMPL joint that the file has.
+    """Returns the index in ``names`` of every SMPL joint that the file has, by the joint's name.
 
-    Refused without both hips, knees, ankles, shoulders and elbows, and a trunk.
-    The trunk's joints, however many, are spread over spine1 to spine3.
+    ``parents`` are indices, -1 for none. The trunk's joints, however many, are spread over spine1 to spine3. Raises
+    ``MotionError``, which names ``label``, without both hips, knees, ankles, shoulders and elbows, and a trunk.
     """
     readings = [_best_limbs(reading) for reading in _readings(names)]
     plain, sources = next((one for one in readings if not _lacks(one[1])), readings[0])
@@ -108,13 +108,13 @@ def match_joints(names: Sequence[str], parents: Sequence[int], *, label: str) ->
         joint: plain[word]
         for joint, words in (("neck", _NECK), ("head", _HEAD))
         for word in words[::-1]
-        if word in plain and plain[word] not in trunk  # a trunk of four joints may end in "spine004"
+        if word in plain and plain[word] not in trunk  # A trunk of four joints may end in "spine004".
     }
 
 
 def with_trunk(limbs: dict[str, int], parents: Sequence[int], *, label: str) -> dict[str, int]:
-    """Returns ``limbs``, joints with a side, together with the pelvis and the spine that hold them. Refuses nodes
-    without a trunk."""
+    """Returns ``limbs``, indices of joints with a side by their SMPL names, together with the pelvis and spine1 to
+    spine3, which hold them. Raises ``MotionError``, which names ``label``, for nodes without a trunk."""
     left, right = (ancestors(parents, limbs[f"{side}_hip"]) for side in ("left", "right"))
     pelvis = next((joint for joint in left[1:] if joint in right[1:]), None)
     if pelvis is None:
@@ -126,9 +126,9 @@ def with_trunk(limbs: dict[str, int], parents: Sequence[int], *, label: str) -> 
     return sources | {f"spine{k}": trunk[-(-k * len(trunk) // 3) - 1] for k in (1, 2, 3)}
 
 
-def is_whole(found: Mapping[str, int]) -> bool:
-    """Whether ``found`` has every joint that a person needs."""
-    return not _lacks(found) and {"pelvis", "spine1", "spine2", "spine3"} <= found.keys()
+def is_whole(sources: Mapping[str, int]) -> bool:
+    """Returns whether ``sources`` has every SMPL joint that a person needs."""
+    return not _lacks(sources) and {"pelvis", "spine1", "spine2", "spine3"} <= sources.keys()
 
 
 def _best_limbs(names: Sequence[str]) -> tuple[dict[str, int], dict[str, int]]:
@@ -148,14 +148,14 @@ def _readings(names: Sequence[str]) -> Iterator[list[str]]:
     sides = {mark for side in _SIDES for mark in side}
     for place in (-1, 0):
         while True:
-            ends = ["" if len(one) < 2 else _NUMBER if one[place].isdigit() else one[place].lower() for one in words]
+            ends = ["" if len(own) < 2 else _NUMBER if own[place].isdigit() else own[place].lower() for own in words]
             shared, count = Counter(end for end in ends if end).most_common(1)[0] if any(ends) else ("", 0)
-            if shared in sides or count < max(1.0, _SHARED * sum(bool(one) for one in words)):
+            if shared in sides or count < max(1.0, _SHARED * sum(map(bool, words))):
                 break
-            for one, end in zip(words, ends, strict=True):
+            for own, end in zip(words, ends, strict=True):
                 if end == shared:
-                    del one[place]
-            yield ["_".join(one) for one in words]
+                    del own[place]
+            yield list(map("_".join, words))
 
 
 def _plain(name: str) -> str:
@@ -177,22 +177,22 @@ def _limbs(plain: dict[str, int], scheme: dict[str, tuple[str, ...]]) -> dict[st
     return joints
 
 
-def _lacks(found: Mapping[str, int]) -> list[str]:
-    """Required limb joints that are not among ``found``."""
-    return [f"{side}_{joint}" for side, *_ in _SIDES for joint in _REQUIRED if f"{side}_{joint}" not in found]
+def _lacks(sources: Mapping[str, int]) -> list[str]:
+    """Required limb joints that are not among ``sources``."""
+    return [f"{side}_{joint}" for side, *_ in _SIDES for joint in _REQUIRED if f"{side}_{joint}" not in sources]
 
 
-def _trunk(parents: Sequence[int], found: dict[str, int]) -> list[int]:
+def _trunk(parents: Sequence[int], sources: dict[str, int]) -> list[int]:
     """Joints from above the pelvis up to the one from which the arms branch, in order."""
-    left, right = (ancestors(parents, found[f"{side}_shoulder"]) for side in ("left", "right"))
-    arms = {found.get(f"{side}_{joint}") for side in ("left", "right") for joint in ("collar", "shoulder")}
-    below = set(ancestors(parents, found["pelvis"]))  # a root or reference joint may carry the pelvis
+    left, right = (ancestors(parents, sources[f"{side}_shoulder"]) for side in ("left", "right"))
+    arms = {sources.get(f"{side}_{joint}") for side in ("left", "right") for joint in ("collar", "shoulder")}
+    below = set(ancestors(parents, sources["pelvis"]))  # A root or reference joint may carry the pelvis.
     shared = [joint for joint in left if joint in right and joint not in arms and joint not in below]
     return shared[::-1]
 
 
 def ancestors(parents: Sequence[int], joint: int) -> list[int]:
-    """Returns ``joint`` and the joints that carry it, up to the root."""
+    """Returns ``joint`` and the joints above it, up to the root."""
     chain = []
     while joint >= 0:
         chain.append(joint)

@@ -16,9 +16,10 @@ def unit_vector(vectors: np.ndarray) -> np.ndarray:
 
 
 def leg_rotations(hip: np.ndarray, ankle: np.ndarray, forward: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """World rotations (F, 3, 3) of thigh and shin that bring the ankle (F, 3) [m] to its place.
+    """Returns the world rotations (F, 3, 3) of thigh and shin of the canonical skeleton that bring the ankle from
+    ``hip`` [m] (F, 3) to ``ankle`` [m] (F, 3).
 
-    The knee bends towards ``forward`` (F, 3). Law of cosines; the ankle must be in reach.
+    The knee bends towards ``forward`` (F, 3). Raises ``ValueError`` where the ankle is out of reach.
     """
     thigh, shin = _bone_length("left_knee"), _bone_length("left_ankle")
     line = ankle - hip
@@ -41,11 +42,12 @@ def posed_clip(
     ankles: dict[str, np.ndarray],
     feet: dict[str, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Poses (F, 24, 3) and translations (F, 3) of a body that stands on given feet.
+    """Returns SMPL poses (F, 24, 3) [rad] and root translations [m] (F, 3) of the canonical skeleton with its feet
+    where they are wanted.
 
-    ``root`` (F, 3) is the pelvis [m], ``pelvis`` (F, 3, 3) its rotation, ``upper`` the
-    local rotations of joints above the legs, ``ankles`` the world positions [m] of the
-    ankles by side, ``feet`` the world rotations of the feet.
+    ``root`` [m] (F, 3) is the pelvis and ``pelvis`` (F, 3, 3) its world rotation. ``upper`` has the rotations (F, 3, 3)
+    of joints that are no legs, relative to the parent, by their names. ``ankles`` [m] (F, 3) and ``feet`` (F, 3, 3)
+    have, by side, the world positions of the ankles and the world rotations of the feet.
     """
     local = np.tile(np.eye(3), (len(root), JOINT_COUNT, 1, 1))
     local[:, 0] = pelvis

@@ -18,16 +18,16 @@ from drape.geometry.rotations import quaternion_to_matrix
 from drape.motion.clip import MotionClip
 from drape.motion.retarget import SourceSkeleton, retarget
 
-MOST_MATRICES = 4_000_000  # of frames and nodes
-STILL_SHARE = 1e-4  # of the skeleton's extent: a node that moves less from its parent does not
+MOST_MATRICES = 4_000_000  # Frames times nodes.
+STILL_SHARE = 1e-4  # A node that moves from its parent by less than this share of the skeleton's extent does not move.
 
 
 @dataclass(frozen=True, eq=False)
 class MovingNodes:
-    """J nodes, parents before children, in F frames.
+    """J nodes of a scene, parents before children, in F frames. Lengths are in the unit of the file.
 
-    ``names``, ``parents`` (-1: none); ``rest`` (J, 4, 4) their world transforms at rest; in the frames ``translations``
-    (F, J, 3), unit ``quaternions`` (F, J, 4) wxyz and ``scales`` (F, J, 3) relative to the parent.
+    ``parents`` are indices, -1 for none. ``rest`` (J, 4, 4) are the world transforms at rest. ``translations``
+    (F, J, 3), unit ``quaternions`` (F, J, 4) wxyz and ``scales`` (F, J, 3) are relative to the parent.
     """
 
     names: Sequence[str]
@@ -40,7 +40,7 @@ class MovingNodes:
 
 
 def file_bytes(path: Path) -> bytes:
-    """The bytes of a motion file; raises ``MotionError`` where it cannot be read."""
+    """Returns the bytes of a motion file. Raises ``MotionError`` where it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -49,7 +49,8 @@ def file_bytes(path: Path) -> bytes:
 
 
 def check_node_count(frames: int, nodes: int, label: str) -> None:
-    """Refuses (``MotionError``) a motion whose frames and nodes are more than are read."""
+    """Raises ``MotionError``, which names ``label``, for a motion with more matrices (frames times nodes) than are
+    read."""
     if frames * nodes > MOST_MATRICES:
         raise MotionError(
             f"{label}: animation",
@@ -60,7 +61,8 @@ def check_node_count(frames: int, nodes: int, label: str) -> None:
 
 
 def node_clip(moving: MovingNodes, *, name: str) -> MotionClip:
-    """The clip of ``moving``, retargeted to the 24 SMPL joints; raises ``MotionError`` where these are no person's."""
+    """Returns the clip called ``name`` of the nodes ``moving``, retargeted to the 24 SMPL joints. Raises
+    ``MotionError`` where the nodes are no person's."""
     frames, count = moving.quaternions.shape[:2]
     check_node_count(frames, count, name)
     world = world_transforms(moving.translations, moving.quaternions, moving.scales, moving.parents)
@@ -82,8 +84,9 @@ def node_clip(moving: MovingNodes, *, name: str) -> MotionClip:
 
 
 def world_transforms(moves: np.ndarray, turns: np.ndarray, scales: np.ndarray, parents: Sequence[int]) -> np.ndarray:
-    """World transforms (F, N, 4, 4) of nodes with local ``moves`` (F, N, 3), ``turns`` (F, N, 4), wxyz, and ``scales``
-    (N, 3) or (F, N, 3)."""
+    """Returns the world transforms (F, N, 4, 4) of nodes with the local translations ``moves`` (F, N, 3), rotations
+    ``turns`` (F, N, 4), unit quaternions wxyz, and ``scales`` (N, 3) or (F, N, 3). ``parents`` come before their
+    children."""
     local = np.zeros((*moves.shape[:2], 4, 4))
     local[..., :3, :3] = quaternion_to_matrix(turns) * scales[..., None, :]
     local[..., :3, 3], local[..., 3, 3] = moves, 1.0
@@ -91,7 +94,7 @@ def world_transforms(moves: np.ndarray, turns: np.ndarray, scales: np.ndarray, p
 
 
 def nearest_rotations(matrices: np.ndarray) -> np.ndarray:
-    """The rotations (..., 3, 3) nearest to ``matrices`` (..., 3, 3); a mirrored one keeps two of its axes."""
+    """Returns the rotations (..., 3, 3) nearest to ``matrices`` (..., 3, 3), also where these mirror."""
     u, _, vt = np.linalg.svd(matrices)
     u[..., -1] *= np.sign(np.linalg.det(u @ vt))[..., None]
     return u @ vt

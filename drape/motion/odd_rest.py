@@ -1,8 +1,8 @@
-"""Rest poses that no person takes: what their bones tell of trunk and limbs, and what only the motion does.
+"""Rest poses that no person takes: what their bones say of trunk and limbs, and what only the motion says.
 
-A bone tells two of the three angles of its joint, not its twist. Chest and pelvis are told whole, by the
-lines between the arms and between the hips. Other twists are told by a rest pose that a person can take;
-where it is none, they are those that people keep on average, which is zero in a limb and an even share in a trunk.
+A bone fixes two of the three angles of its joint, and leaves its twist open. The lines between the hips and between the
+arms fix the twist of pelvis and chest. Other twists follow from a rest pose that a person can take. Where it is none,
+they are those that people keep on average: zero in a limb, and an even share in a trunk.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from drape.motion.t_pose import BONE_CHILD, BONE_DIRECTIONS, JOINT_INDEX
 
 # Farther [rad] from its T-pose direction, seen from its parent, no person holds a bone (LAFAN lays all along x).
 _FAR = {"collar": 1.0, "shoulder": 2.0, "elbow": 2.0, "hip": 2.0, "knee": 2.5}
-_ASIDE = {"hip": 0.8, "knee": 0.4}  # the share of a leg's bone that lies aside, at the most
+_ASIDE = {"hip": 0.8, "knee": 0.4}  # At most this share of a leg's bone lies aside.
 _LIMBS = ("collar", "shoulder", "elbow", "wrist", "hand"), ("hip", "knee", "ankle", "foot")
-_FAR_TIP = 1.0  # [rad], of head, hand and toes from what carries them, at rest and on average in the clip
+_FAR_TIP = 1.0  # People turn head, hand and toes by less [rad] from what carries them, at rest or on average in a clip.
 
 # Bones of a straight trunk turn by less than this [rad] from one to the next, the shipped body's by 0.8 where the
 # spine begins; where the trunk stands over legs that stand, within _LEAN, by less than _SHARP_KINK.
 _KINK, _SHARP_KINK, _LEAN = 0.9, 1.3, 0.2
-_SHORT = 0.08  # of a trunk: a shorter bone has no say
-_TRUNK_TWIST = 0.7  # [rad], more than a joint of a trunk keeps on average beside what the rest pose tells
+_SHORT = 0.08  # A bone with a smaller share of the trunk's length does not count.
+_TRUNK_TWIST = 0.7  # A joint of a trunk is twisted by less [rad] on average, beside the rest pose's own twist.
 
 # More [rad] than people keep a joint twisted on average.
 _TWIST = {"neck": 0.9, "head": 0.9, "collar": 0.9, "shoulder": 2.0, "elbow": 1.7, "wrist": 1.7, "hand": 0.9}
@@ -40,10 +40,11 @@ _SPINE = ("spine1", "spine2", "spine3")
 def trunk_ends(
     rest: np.ndarray, parents: Sequence[int], sources: Mapping[str, int]
 ) -> tuple[dict[str, int], np.ndarray | None]:
-    """Returns for each joint of the trunk the file's joint that its bone points to, and the up direction (3,) of the
-    pelvis. ``rest`` are the joints' places (J, 3).
+    """Returns the index of the file's joint to which the bone of each spine joint points, by SMPL's names of these, and
+    the up direction (3,) of the pelvis. ``rest`` (J, 3) are the joints' positions at rest.
 
-    A bent trunk is told bone by bone. A straight one is told from joint to joint of ours, and its up is None.
+    A bent trunk is measured from joint to joint of the file, and up is along its lowest bone. A straight one is
+    measured from joint to joint of SMPL's: up is None, and only spine joints on its topmost node have an entry.
     """
     tops = [sources[name] for name in ("neck", "head", "spine3") if name in sources]
     top = next(joint for joint in tops if sources["spine3"] in ancestors(parents, joint))
@@ -74,9 +75,9 @@ def trunk_ends(
 
 
 def arms_across(rest: np.ndarray, sources: Mapping[str, int]) -> np.ndarray | None:
-    """Returns the line (3,) from the right arm to the left; None if the rest pose shows none.
+    """Returns the line (3,) from the right arm to the left at the positions ``rest`` (J, 3); None if there is none.
 
-    It joins the shoulders. If the collars do not point apart, it joins their own places, which turn with the chest.
+    It joins the shoulders. If the collars do not point apart, it joins their own positions, which turn with the chest.
     """
     left, right = (rest[sources[f"{side}_shoulder"]] for side in ("left", "right"))
     if "left_collar" in sources and "right_collar" in sources:
@@ -88,7 +89,8 @@ def arms_across(rest: np.ndarray, sources: Mapping[str, int]) -> np.ndarray | No
 
 
 def odd_limbs(rest: np.ndarray, sources: Mapping[str, int], alignment: np.ndarray) -> set[str]:
-    """Returns the names of the limbs' joints that no person holds as they are at the rest positions ``rest`` (J, 3)."""
+    """Returns the SMPL names of the joints of those limbs that no person holds as they are at the positions ``rest``
+    (J, 3). ``alignment`` (24, 3, 3) brings the T-pose onto that pose."""
     odd = set()
     for limb in [[f"{side}_{joint}" for joint in limb] for side in ("left", "right") for limb in _LIMBS]:
         for name in limb:
@@ -103,7 +105,8 @@ def odd_limbs(rest: np.ndarray, sources: Mapping[str, int], alignment: np.ndarra
 
 
 def tips_of(rest: np.ndarray, parents: Sequence[int], sources: Mapping[str, int]) -> dict[str, np.ndarray]:
-    """Unit directions (3,) of feet, toes, hands and head to the joints and ends they carry, at ``rest`` (J, 3)."""
+    """Returns the unit directions (3,) in which feet, toes, hands and head point at the positions ``rest`` (J, 3), by
+    SMPL's names of their joints: to the middle of the joints that they carry. What carries none is left out."""
     tips = {}
     for name in ("left_ankle", "right_ankle", "left_foot", "right_foot", "left_wrist", "right_wrist", "head"):
         carried = [k for k, parent in enumerate(parents) if parent == sources.get(name)]
@@ -114,19 +117,20 @@ def tips_of(rest: np.ndarray, parents: Sequence[int], sources: Mapping[str, int]
 
 
 def turn_tips(turned: np.ndarray, tips: Mapping[str, np.ndarray], alignment: np.ndarray, odd: set[str]) -> set[str]:
-    """Turns feet, toes, hands and head to where their ``tips`` point, in place; returns the names of the joints that it
-    turned.
+    """Turns feet, toes, hands and head to where their ``tips`` point, in ``turned`` and in ``alignment``, in place.
+    Returns the names of the joints that it turned.
 
-    ``turned`` (F, 24, 3, 3) are world rotations and ``alignment`` (24, 3, 3) those from the T-pose to the rest pose. A
-    joint that is not ``odd`` is left as it is, unless it is held both at rest and through the clip as no person holds
-    it.
+    ``turned`` (F, 24, 3, 3) are world rotations from the T-pose on, and ``alignment`` (24, 3, 3) brings the T-pose onto
+    the rest pose. A joint that is not ``odd`` is left as it is, unless both at rest and through the clip it is held as
+    no person holds it.
     """
     turned_limbs = set()
     for name, tip in tips.items():
         joint = JOINT_INDEX[name]
         carrier = alignment[PARENTS[joint]]
         expected = carrier @ (SLOPING_FOOT if name.endswith("ankle") else np.array(BONE_DIRECTIONS[name]))
-        held = 0.5 * (np.trace(_relative(turned, PARENTS[joint], joint).mean(axis=0)) - 1.0)  # cosine of the mean turn
+        # It is the cosine of the mean turn.
+        held = 0.5 * (np.trace(_relative(turned, PARENTS[joint], joint).mean(axis=0)) - 1.0)
         if name in odd or max(held, tip @ expected) < np.cos(_FAR_TIP):
             own = least_turn(expected, tip, carrier) @ carrier
             turned[:, joint] @= alignment[joint].T @ own
@@ -136,12 +140,14 @@ def turn_tips(turned: np.ndarray, tips: Mapping[str, np.ndarray], alignment: np.
 
 
 def keep_mean_twists(
-    turned: np.ndarray, sources: Mapping[str, int], alignment: np.ndarray, odd: set[str], told: set[str]
+    turned: np.ndarray, sources: Mapping[str, int], alignment: np.ndarray, odd: set[str], tips: set[str]
 ) -> None:
-    """Turns joints of world rotations ``turned`` (F, 24, 3, 3) about their own bones as people keep them, in place.
+    """Turns joints of the world rotations ``turned`` (F, 24, 3, 3) about their own bones, in place, so that their mean
+    twist is one that people keep.
 
-    A trunk's mean twist is shared evenly between pelvis and chest, as far as the rest pose's lies between theirs. Limbs
-    that are ``odd`` at rest have a mean twist of zero; hands and toes that were not ``told`` go with what carries them.
+    Joints between pelvis and chest turn towards an even share of the mean twist between these two: by no more than the
+    rest pose's own twist, unless they lie far off. Limbs that are ``odd`` at rest get a mean twist of zero. Hands and
+    toes go with what carries them, unless they are among ``tips``, the joints that ``turn_tips`` turned.
     """
     up = np.array(BONE_DIRECTIONS["spine1"])
     twist = _mean_twist((alignment[0].T @ alignment[JOINT_INDEX["spine3"]])[None], up)
@@ -162,8 +168,8 @@ def keep_mean_twists(
             for leaf in range(joint + 1, JOINT_COUNT):
                 if PARENTS[leaf] == joint and JOINT_NAMES[leaf] not in sources:
                     turned[:, leaf] = turned[:, joint]
-                elif PARENTS[leaf] == joint and JOINT_NAMES[leaf] not in {*BONE_CHILD, *told}:
-                    turned[:, leaf] @= undo  # it shares its parent's alignment
+                elif PARENTS[leaf] == joint and JOINT_NAMES[leaf] not in {*BONE_CHILD, *tips}:
+                    turned[:, leaf] @= undo  # Such a joint shares its parent's alignment.
 
 
 def _relative(turned: np.ndarray, parent: int, joint: int) -> np.ndarray:

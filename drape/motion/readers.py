@@ -18,10 +18,11 @@ MOTION_SUFFIXES = (*_READERS, *_OF_SCENES)
 
 
 def read_motion(path: Path, *, clip: str | None = None) -> MotionClip:
-    """Reads a clip from an npz file (AMASS's form or our own), BVH, GLB, glTF, VRM, VRMA or FBX.
+    """Returns the clip in an npz file (AMASS's form or our own), BVH, GLB, glTF, VRM, VRMA or FBX, with 24 joints, y
+    up, in metres.
 
-    Of a scene with several animations the one called ``clip`` is read, or the longest. The clip has 24 joints, y up, in
-    metres. Raises ``MotionError`` for a file of another kind or one that cannot be read.
+    Of a scene with several animations it is the one called ``clip``, or the longest. Raises ``MotionError`` for a file
+    of another kind or one that cannot be read.
     """
     path = Path(path)
     suffix = path.suffix.lower()

@@ -35,12 +35,13 @@ _AXES = {sign + axis: np.eye(3)["xyz".index(axis)] * float(f"{sign}1") for sign 
 # What speaks for an axis to be up beside people's standing along it: that it is y, that the skeleton rests along it,
 # that feet stand at its zero. Feet outweigh either of the others, since a lying person has them there by chance only.
 _HABIT, _RESTS, _STANDS = 1.0, 1.1, 1.3
-_NEAR_FLOOR = 0.2  # [m], of ankles that stand
+_NEAR_FLOOR = 0.2  # Ankles that stand are at most so high [m].
 
 
 @dataclass(frozen=True)
 class SourceSkeleton:
-    """A file's joints in parent-first order; ``offsets`` (J, 3) from the parent in the rest pose, file units."""
+    """A file's joints, parents before children. ``parents`` are indices, -1 for the root, and ``offsets`` (J, 3) are
+    from the parent in the rest pose, in the file's unit."""
 
     names: tuple[str, ...]
     parents: tuple[int, ...]
@@ -56,7 +57,8 @@ class SourceSkeleton:
 
 
 def global_rotations(local_rotations: np.ndarray, parents: Sequence[int]) -> np.ndarray:
-    """World rotations (F, J, 3, 3) of rotations relative to the parent."""
+    """Returns the world rotations (F, J, 3, 3) of joints whose rotations relative to the parent are ``local_rotations``
+    (F, J, 3, 3). ``parents`` come before their children."""
     rotations = np.array(local_rotations, dtype=np.float64)
     for joint, parent in enumerate(parents):
         if parent >= 0:
@@ -65,7 +67,8 @@ def global_rotations(local_rotations: np.ndarray, parents: Sequence[int]) -> np.
 
 
 def local_rotations(rotations: np.ndarray, parents: Sequence[int]) -> np.ndarray:
-    """Rotations relative to the parent (F, J, 3, 3) of world rotations: the inverse of ``global_rotations``."""
+    """Returns the rotations relative to the parent (F, J, 3, 3) of joints whose world rotations are ``rotations``
+    (F, J, 3, 3): the inverse of ``global_rotations``."""
     local = np.array(rotations, dtype=np.float64)
     for joint, parent in enumerate(parents):
         if parent >= 0:
@@ -74,7 +77,8 @@ def local_rotations(rotations: np.ndarray, parents: Sequence[int]) -> np.ndarray
 
 
 def euler_to_matrix(angles_rad: np.ndarray, axes: str) -> np.ndarray:
-    """Returns ``R_axes[0] R_axes[1] ...`` (..., 3, 3) of angles (..., n) about the axes, as "ZXY"."""
+    """Returns the products ``R_axes[0] R_axes[1] ...`` (..., 3, 3) of rotations by ``angles_rad`` (..., n) about n
+    ``axes``, such as "ZXY"."""
     matrix = np.broadcast_to(np.eye(3), (*angles_rad.shape[:-1], 3, 3))
     for column, axis in enumerate(axes):
         rotvec = np.zeros((*angles_rad.shape[:-1], 3))
@@ -94,12 +98,14 @@ def retarget(
     up: str | None = None,
     any_size: bool = False,
 ) -> MotionClip:
-    """The clip of world rotations (F, J, 3, 3) and of ``places``, in the file's unit.
+    """Returns the clip, on the 24 SMPL joints and in metres, of a ``skeleton`` whose joints have the world
+    ``rotations`` (F, J, 3, 3) from its rest pose on.
 
-    ``places`` holds the positions (F, 3), relative to the parent, of the joints that
-    move; the root must be among them. ``metres_per_unit`` None guesses the unit from
-    the length of the legs, ``up`` None the axis by how the person stands. A figure of ``any_size`` walks as far as an
-    adult whose legs turn so, where its own are no person's.
+    ``places`` has the positions (F, 3), relative to the parent and in the file's unit, of the joints that move, by
+    their indices; the root must be among them. ``metres_per_unit`` None guesses the unit from the length of the legs,
+    ``up`` None the vertical axis by how the person stands. Where no unit makes the legs a person's, a figure of
+    ``any_size`` walks as far as an adult whose legs turn so. Raises ``MotionError`` for any other figure, and for
+    joints of no person.
     """
     if up is not None and up not in _AXES:
         raise MotionError("up", expected=f"one of {', '.join(_AXES)}", got=repr(up), cure="Name the vertical axis.")
@@ -124,8 +130,8 @@ def retarget(
     world = least_turn(vertical, _AXES["y"], np.eye(3))
     turned = world_joint_rotations(world @ rotations, sources, alignment)
     odd = odd_limbs(rest, sources, alignment)
-    told = turn_tips(turned, tips_of(rest, skeleton.parents, sources), alignment, odd)
-    keep_mean_twists(turned, sources, alignment, odd, told)
+    tips = turn_tips(turned, tips_of(rest, skeleton.parents, sources), alignment, odd)
+    keep_mean_twists(turned, sources, alignment, odd, tips)
     local = local_rotations(turned, PARENTS)
     return MotionClip(poses=matrix_to_rotvec(local), trans=scale * pelvis @ world.T, fps=fps, name=name)
 

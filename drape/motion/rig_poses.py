@@ -1,11 +1,10 @@
 """Poses of any avatar's rig as SMPL poses, and SMPL poses on any rig.
 
-A node's local rotation is told from its parent, in axes that its maker chose. With
-``W`` the world rotations of the rest pose, ``P`` that of the parent and ``R_rest`` the
-node's own local rest rotation, ``q_local = P^-1 q_norm P R_rest``: ``q_norm`` is what
-the joint turns by in the world's axes, zero in the rest pose. A rig that rests in an
-A-pose has a ``q_norm`` of zero there, so the turns from the T-pose to its rest pose
-are measured on its bones and taken out (``drape.motion.alignment``).
+A node's local rotation is relative to its parent, in axes that its maker chose. With ``W`` the world rotations of the
+rest pose, ``P`` that of the parent and ``R_rest`` the node's own local rest rotation, ``q_local = P^-1 q_norm P
+R_rest``: ``q_norm`` is what the joint turns by in the world's axes, zero in the rest pose. A rig that rests in an
+A-pose has a ``q_norm`` of zero there, so the turns from the T-pose to its rest pose are measured on its bones and taken
+out (``drape.motion.alignment``).
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from drape.geometry.rotations import (
     rotvec_to_matrix,
 )
 from drape.motion.alignment import rest_alignment, rest_bone, world_joint_rotations
-from drape.motion.joint_names import is_whole, match_joints
+from drape.motion.joint_names import ancestors, is_whole, match_joints
 from drape.motion.legs import SIDES
 from drape.motion.retarget import global_rotations, local_rotations
 from drape.motion.t_pose import CANONICAL_JOINTS, JOINT_INDEX
@@ -53,15 +52,16 @@ _SPREAD = (("pelvis", "spine1", "spine2", "spine3"), ("spine3", "neck", "head"))
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """A skeleton of nodes, parents before children; its rest pose is a T-pose or an A-pose.
+    """A skeleton of J nodes, parents before children; its rest pose is a T-pose or an A-pose.
 
-    ``parents`` (J,) are indices, -1 for a root. ``rest_rotations`` (J, 4) are unit
-    quaternions wxyz and ``rest_translations`` (J, 3) offsets, both local, in any unit of
-    length. Names are those that ``match_joints`` reads; other nodes keep their rest pose.
-    ``t_pose_joints`` (24, 3) are the rest joints of the body that the SMPL poses are for.
-    ``told``: nodes of SMPL joints whatever they are called; where it has all that a person needs no name is read.
-    The rig's world is the poses' world: y up, whatever way the rig faces.
-    Raises ``MotionError`` for arrays that do not fit, and for names of no person.
+    ``parents`` (J,) are indices, -1 for a root. ``rest_rotations`` (J, 4), unit quaternions wxyz, and
+    ``rest_translations`` (J, 3), in any unit of length, are relative to the parent. ``names`` are those that
+    ``match_joints`` reads; other nodes keep their rest pose. ``nodes`` has nodes of SMPL joints whatever they are
+    called; where it has all that a person needs no name is read. ``t_pose_joints`` [m] (24, 3) are the rest joints of
+    the body that the SMPL poses are for.
+
+    The rig's world is the poses' world: y up, whatever way the rig faces. Raises ``MotionError`` for arrays that do not
+    fit, and for names of no person.
     """
 
     names: Sequence[str]
@@ -70,7 +70,7 @@ class Rig:
     rest_translations: np.ndarray
     t_pose_joints: np.ndarray = field(default_factory=lambda: CANONICAL_JOINTS)
     label: str = "rig"
-    told: Mapping[str, int] = field(default_factory=dict)
+    nodes: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         count = len(self.names)
@@ -88,23 +88,23 @@ class Rig:
             check_shape(name, array, shape, error=MotionError)
             check_finite(name, array, error=MotionError)
             object.__setattr__(self, name, array)
-        _ = self.alignment  # a rig of no person is refused at once
+        _ = self.alignment  # This refuses a rig of no person at once.
 
     @cached_property
     def sources(self) -> dict[str, int]:
-        """The node of each SMPL joint that the rig has."""
-        if is_whole(self.told):
-            return dict(self.told)
-        return {**match_joints(self.names, self.parents, label=self.label), **self.told}
+        """The index of the node of each SMPL joint that the rig has, by the joint's name."""
+        if is_whole(self.nodes):
+            return dict(self.nodes)
+        return {**match_joints(self.names, self.parents, label=self.label), **self.nodes}
 
     @cached_property
     def rest_world(self) -> np.ndarray:
-        """World rotations ``W`` (J, 3, 3) of the rest pose."""
+        """The world rotations ``W`` (J, 3, 3) of the nodes in the rest pose."""
         return global_rotations(quaternion_to_matrix(self.rest_rotations)[None], self.parents)[0]
 
     @cached_property
     def rest_positions(self) -> np.ndarray:
-        """World positions (J, 3) of the rest pose, in the rig's unit."""
+        """The world positions (J, 3) of the nodes in the rest pose, in the rig's unit."""
         positions = np.array(self.rest_translations)
         for node, parent in enumerate(self.parents):
             if parent >= 0:
@@ -113,7 +113,7 @@ class Rig:
 
     @cached_property
     def alignment(self) -> np.ndarray:
-        """Rotations ``A`` (24, 3, 3) from the T-pose of the body onto the rig's rest pose."""
+        """The rotations ``A`` (24, 3, 3) that bring the body's T-pose onto the rig's rest pose, joint by joint."""
         bones = {joint: rest_bone(self.t_pose_joints, JOINT_INDEX, joint, _MEASURED) for joint in _MEASURED}
         alignment = rest_alignment(
             self.rest_positions,
@@ -124,13 +124,14 @@ class Rig:
             up=_up(self.rest_positions, self.sources),
         )
         for side in SIDES:
-            if f"{side}_foot" not in self.sources:  # a foot without toes: its sole is level, however the leg stands
+            if f"{side}_foot" not in self.sources:  # The sole of a foot without toes is level, however the leg stands.
                 alignment[JOINT_INDEX[f"{side}_ankle"]] = alignment[JOINT_INDEX[f"{side}_foot"]] = alignment[0]
         return alignment
 
 
 def rig_to_poses(rig: Rig, quaternions: np.ndarray) -> np.ndarray:
-    """SMPL poses (F, 24, 3) [rad] of a rig's local rotations, unit quaternions wxyz (F, J, 4).
+    """Returns the SMPL poses (F, 24, 3) [rad] of a rig whose nodes have the local rotations ``quaternions`` (F, J, 4),
+    wxyz. Raises ``MotionError`` for arrays of other shapes and quaternions of another length than one.
 
     Joints that the rig lacks are straight, but a trunk or a neck of fewer joints is spread over ours.
     """
@@ -142,10 +143,11 @@ def rig_to_poses(rig: Rig, quaternions: np.ndarray) -> np.ndarray:
 
 
 def poses_to_rig(rig: Rig, poses: np.ndarray) -> np.ndarray:
-    """Local rotations of a rig, unit quaternions wxyz (F, J, 4) with w >= 0, that show SMPL poses (F, 24, 3) [rad].
+    """Returns the local rotations of a rig's nodes, unit quaternions wxyz (F, J, 4) with w >= 0, that show SMPL
+    ``poses`` (F, 24, 3) [rad].
 
-    Each joint's node takes the joint's world rotation, so that joints which the rig
-    lacks are made up for by those above them. All other nodes keep their rest rotation.
+    Each joint's node takes the joint's world rotation, so that joints which the rig lacks are made up for by those
+    above them. All other nodes keep their rest rotation.
     """
     poses = np.asarray(poses, dtype=np.float64)
     check_shape("poses", poses, (None, JOINT_COUNT, 3), error=MotionError)
@@ -175,16 +177,10 @@ def _up(rest: np.ndarray, sources: dict[str, int]) -> np.ndarray:
 
 
 def carrier(rig: Rig) -> int:
-    """The node that carries both legs and trunk: the pelvis, or the one above it where a rig branches there."""
-    below = rig.sources["spine1"]
-    above_trunk = set()
-    while below >= 0:
-        above_trunk.add(below)
-        below = rig.parents[below]
-    node = rig.sources["pelvis"]
-    while node not in above_trunk and rig.parents[node] >= 0:
-        node = rig.parents[node]
-    return node
+    """Returns the index of the node that carries both legs and trunk: the pelvis, or the one above it where a rig
+    branches there."""
+    trunk, line = (ancestors(rig.parents, rig.sources[joint]) for joint in ("spine1", "pelvis"))
+    return next((node for node in line if node in trunk), line[-1])
 
 
 def _spread(turned: np.ndarray, sources: dict[str, int]) -> None:

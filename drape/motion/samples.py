@@ -24,29 +24,29 @@ from drape.motion.t_pose import ANKLE_HEIGHT, CANONICAL_JOINTS, JOINT_INDEX
 
 FPS = 60.0
 
-_STANCE_SHARE = 0.62  # of a walking cycle that a foot stays on the ground
-_STEP_AHEAD = 0.27  # of a cycle's path that a footstep lies before the pelvis at heel strike
-_LIFT = 0.04  # of a swinging foot [m]
-_HALF_WIDTH = 0.075  # of a walker's footsteps about the path [m]
-_STANDING_HEIGHT = 0.922  # of the pelvis, knees slightly bent [m]
-_ARM_LOWERED = 68.0  # from the T-pose to the side [degrees]
+_STANCE_SHARE = 0.62  # A foot stays on the ground for this share of a walking cycle.
+_STEP_AHEAD = 0.27  # At heel strike a footstep lies this share of a cycle's path before the pelvis.
+_LIFT = 0.04  # The height [m] to which a swinging foot is lifted.
+_HALF_WIDTH = 0.075  # Footsteps lie so far [m] beside a walker's path.
+_STANDING_HEIGHT = 0.922  # The pelvis's height [m] with knees slightly bent.
+_ARM_LOWERED = 68.0  # The angle [degrees] from the T-pose down to the side.
 
 _TOE_JOINT = CANONICAL_JOINTS[JOINT_INDEX["left_foot"]] - CANONICAL_JOINTS[JOINT_INDEX["left_ankle"]]
 _HEEL = np.array([0.0, -ANKLE_HEIGHT, -HEEL_BEHIND])
 
 
 def walk() -> MotionClip:
-    """Four strides of 1.1 s along +z at 0.9 m/s."""
+    """Returns a clip of four strides of 1.1 s along +z at 0.9 m/s."""
     return _gait("walk", cycle_s=1.1, cycle_count=4, stride=1.0, turn=0.0, height=0.893)
 
 
 def turn() -> MotionClip:
-    """Six strides of 1 s around a full circle to the left."""
+    """Returns a clip of six strides of 1 s around a full circle to the left."""
     return _gait("turn", cycle_s=1.0, cycle_count=6, stride=0.9, turn=2.0 * np.pi / 6.0, height=0.886)
 
 
 def reach() -> MotionClip:
-    """The right hand reaches up and forward, then the left out and down."""
+    """Returns a clip in which the right hand reaches up and forward, then the left out and down."""
     t = _times(5.0)
     up = _path(t, (0.3, 1.4, 1.9, 2.8), (0, 1, 1, 0))
     down = _path(t, (2.5, 3.5, 3.9, 4.8), (0, 1, 1, 0))
@@ -70,7 +70,7 @@ def reach() -> MotionClip:
 
 
 def squat() -> MotionClip:
-    """Two squats, arms swinging forward for balance."""
+    """Returns a clip of two squats, with arms that swing forward for balance."""
     t = _times(5.0)
     depth = _path(t, (0.3, 1.3, 1.5, 2.5), (0, 1, 1, 0)) + _path(t, (2.5, 3.5, 3.7, 4.7), (0, 1, 1, 0))
     root = np.stack([0 * depth, _STANDING_HEIGHT - 0.36 * depth, -0.13 * depth], axis=-1)
@@ -91,7 +91,7 @@ def squat() -> MotionClip:
 
 
 def stretch() -> MotionClip:
-    """Arms raised sideways over the head, then the trunk twists and bends to both sides."""
+    """Returns a clip in which arms are raised sideways over the head, then the trunk twists and bends to both sides."""
     t = _times(6.0)
     raised = _path(t, (0.2, 1.5, 4.6, 5.9), (0, 1, 1, 0))
     twist = _path(t, (1.4, 2.1, 3.0, 3.7), (0, 1, -1, 0))
@@ -119,7 +119,7 @@ SAMPLES = {"walk": walk, "turn": turn, "reach": reach, "squat": squat, "stretch"
 def _gait(name: str, *, cycle_s: float, cycle_count: int, stride: float, turn: float, height: float) -> MotionClip:
     """A walk with ``stride`` [m] of path and ``turn`` [rad] to the left per cycle, the pelvis at ``height`` [m]."""
     t = _times(cycle_s * cycle_count)
-    cycle = t / cycle_s  # the left heel strikes at whole numbers, the right one half a cycle later
+    cycle = t / cycle_s  # The left heel strikes at whole numbers, the right one half a cycle later.
     swing = 2.0 * np.pi * cycle
     wave, quarter, still = np.cos(swing), np.sin(swing), np.zeros_like(t)
     root, heading = _on_path(cycle, stride, turn)
@@ -134,7 +134,7 @@ def _gait(name: str, *, cycle_s: float, cycle_count: int, stride: float, turn: f
         "neck": _yaw(-2.5 * wave + 4.0 * turn),
         "head": _yaw(-2.5 * wave + 6.0 * turn) @ _roll(still - bank) @ _pitch(-2.0 + still),
     }
-    ahead = {"left": -wave, "right": wave}  # an arm swings with the other leg
+    ahead = {"left": -wave, "right": wave}  # An arm swings with the other leg.
     arms = _arms(
         swing={side: 2.0 + 20.0 * ahead[side] for side in SIDES},
         bend={side: 22.0 + 9.0 * ahead[side] for side in SIDES},

@@ -1,8 +1,8 @@
 """Poses of the Virtual Motion Capture protocol (VMC): the bones of a humanoid in Unity, one message each.
 
-A sender tells each bone's rotation from its parent on a skeleton that has the world's axes in its T-pose. Unity's axes
-are left-handed, y up, and its person faces +z. With M = diag(-1, 1, 1) a rotation R is M R M in ours: a quaternion
-(w, x, y, z) becomes (w, x, -y, -z), and a place (x, y, z) becomes (-x, y, z).
+A message has a bone's rotation from its parent, on a skeleton that has the world's axes in its T-pose. Unity's axes are
+left-handed, y up, and its person faces +z. With M = diag(-1, 1, 1) a rotation R is M R M in ours: a quaternion (w, x,
+y, z) becomes (w, x, -y, -z), and a position (x, y, z) becomes (-x, y, z).
 """
 
 from __future__ import annotations
@@ -12,33 +12,27 @@ from functools import lru_cache
 
 import numpy as np
 
-from drape.body.skeleton import JOINT_NAMES
+from drape.body.skeleton import JOINT_NAMES, PARENTS
 from drape.geometry.rotations import quaternion_multiply, quaternion_to_matrix
 from drape.motion.grounding import leg_length
-from drape.motion.joint_names import is_whole
+from drape.motion.joint_names import ancestors, is_whole
 from drape.motion.rig_poses import Rig, rig_to_poses
 from drape.motion.t_pose import CANONICAL_JOINTS, JOINT_INDEX
 
 BONE, ROOT = "/VMC/Ext/Bone/Pos", "/VMC/Ext/Root/Pos"
-LEAST_LEG_M = 0.05  # of a sender that tells where its bones are
+LEAST_LEG_M = 0.05  # A shorter leg is that of a sender that does not say where its bones are.
 
-# Unity's bones by the joints that they turn, parents first; SMPL's hands have none.
+# Unity's bones in the order of SMPL's joints, which have the same parents. SMPL's hands have none.
 _NAMES: tuple[str, ...] = (
     "Hips", "LeftUpperLeg", "RightUpperLeg", "Spine", "LeftLowerLeg", "RightLowerLeg", "Chest", "LeftFoot", "RightFoot",
     "UpperChest", "LeftToes", "RightToes", "Neck", "LeftShoulder", "RightShoulder", "Head", "LeftUpperArm",
     "RightUpperArm", "LeftLowerArm", "RightLowerArm", "LeftHand", "RightHand",
 )  # fmt: skip
 _BONES: dict[str, str] = dict(zip(_NAMES, JOINT_NAMES, strict=False))
-_ABOVE = {"Spine": "Hips", "Chest": "Spine", "UpperChest": "Chest", "Neck": "UpperChest", "Head": "Neck"}
-for _side in ("Left", "Right"):
-    _limbs = ("UpperLeg", "LowerLeg", "Foot", "Toes"), ("Shoulder", "UpperArm", "LowerArm", "Hand")
-    for _limb, _top in zip(_limbs, ("Hips", "UpperChest"), strict=True):
-        _chain = (_top, *(_side + _part for _part in _limb))
-        _ABOVE |= dict(zip(_chain[1:], _chain, strict=False))
 
 
 class VmcPoses:
-    """The newest pose of one sender."""
+    """The newest pose of one sender of VMC messages. ``count`` is how many messages were used."""
 
     def __init__(self) -> None:
         self._turns: dict[str, np.ndarray] = {}
@@ -47,7 +41,8 @@ class VmcPoses:
         self.count = 0
 
     def take(self, address: str, values: Sequence[object]) -> bool:
-        """Keeps what a message says, if it is a turn of a bone or of the root. Returns whether it was."""
+        """Keeps what a message to ``address`` says, if it is the transform of a bone or of the root. Returns whether it
+        was."""
         name, *numbers = values[:8] or ("",)
         if len(numbers) != 7 or not all(isinstance(one, float) for one in numbers):
             return False
@@ -67,8 +62,8 @@ class VmcPoses:
         return True
 
     def pose(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """The pose (24, 3) [rad] and the place (3,) of the pelvis over the ground, in lengths of the sender's leg; None
-        until the sender has told all bones that a person needs."""
+        """Returns the SMPL pose (24, 3) [rad], and the position (3,) of the pelvis in the sender's world, y up from its
+        ground, as multiples of the length of the sender's leg; None until all bones that a person needs have come."""
         bones = tuple(name for name in _BONES if name in self._turns)
         if not is_whole(dict.fromkeys(("spine2", "spine3", *(_BONES[name] for name in bones)), 0)):
             return None
@@ -81,8 +76,8 @@ class VmcPoses:
         return rig_to_poses(_rig(bones), turns[None])[0], pelvis / leg_m
 
     def placed(self, rest_joints: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """The pose (24, 3) [rad] and SMPL's translation (3,) [m] of a body with joints ``rest_joints`` (24, 3) [m], on
-        the ground y = 0; None as ``pose``."""
+        """Returns the SMPL pose (24, 3) [rad] and the root translation [m] (3,) for a body with the rest joints
+        ``rest_joints`` [m] (24, 3) on the ground y = 0; None as ``pose``."""
         found = self.pose()
         return None if found is None else (found[0], found[1] * leg_length(rest_joints) - rest_joints[0])
 
@@ -90,17 +85,10 @@ class VmcPoses:
 @lru_cache(maxsize=16)
 def _rig(bones: tuple[str, ...]) -> Rig:
     """The skeleton with the world's axes that has ``bones``, in the T-pose."""
-    places = {name: CANONICAL_JOINTS[JOINT_INDEX[_BONES[name]]] for name in bones}
-    above = {name: next((up for up in _ancestors(name) if up in places), None) for name in bones}
-    parents = [-1 if (up := above[name]) is None else bones.index(up) for name in bones]
-    offsets = [places[name] - (0.0 if (up := above[name]) is None else places[up]) for name in bones]
+    joints = [JOINT_INDEX[_BONES[name]] for name in bones]
+    above = [next((up for up in ancestors(PARENTS, joint)[1:] if up in joints), -1) for joint in joints]
+    parents = [joints.index(up) if up >= 0 else -1 for up in above]
+    pairs = zip(joints, above, strict=True)
+    offsets = [CANONICAL_JOINTS[joint] - (CANONICAL_JOINTS[up] if up >= 0 else 0.0) for joint, up in pairs]
     names = [name[0].lower() + name[1:] for name in bones]
     return Rig(names, parents, np.tile([1.0, 0.0, 0.0, 0.0], (len(bones), 1)), np.array(offsets), label="VMC")
-
-
-def _ancestors(name: str) -> list[str]:
-    """The bones above ``name``, the nearest first."""
-    chain = []
-    while (name := _ABOVE.get(name, "")) != "":
-        chain.append(name)
-    return chain

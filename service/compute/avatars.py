@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from drape.avatar.own_clothes import Halves, joined_halves
-from drape.avatar.own_garments import MARK, OWN, body_of, dressed_in
+from drape.avatar.own_garments import MARK, OWN, body_of, split_own
 from drape.avatar.wearer import Wearer, load_wearer, upper_body
 from drape.avatar.wears import Reach, reach_of, why_not
 from drape.body.model import BodyModel
@@ -257,7 +257,7 @@ class Avatars:
         """
         layers: tuple[Entry, ...] = () if scene is None else scene.layers
         own = {one.garment.digest: one for one in self.own(name) if one not in layers}
-        sides = dressed_in([one.garment for one in own.values()], self._halves(layers))
+        sides = split_own([one.garment for one in own.values()], self._halves(layers))
         below, over = ([own[one.digest] for one in side] for side in sides)
         worn = [*below, *layers, *over]
         limit = self._settings.max_layers

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from drape.avatar.own_clothes import halves_of
-from drape.avatar.own_garments import MARK, Undressed, own_faces, undressed
+from drape.avatar.own_garments import MARK, Undressed, own_faces, undress
 
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
@@ -21,4 +21,4 @@ async def undressed_avatar(avatar_id: str, scene: Scene, state: State, client: C
     worn = [one.garment for one in scene.layers]
     cloth = [(one.vertices, one.faces) for one in worn]
     halves = halves_of(ours, state.runtime.body)
-    return wearer, await state.runtime.call_apart(undressed, wearer, own_faces(wearer, worn), cloth, halves)
+    return wearer, await state.runtime.call_apart(undress, wearer, own_faces(wearer, worn), cloth, halves)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from fastapi import APIRouter, Query, Request, Response
 
 from drape.errors import BodyError, InputError, NotFound, TooLarge
-from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
+from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, format_list
 from service.errors import Full, TooSlow
 from service.http import exact_clips
 from service.http.answers import BINARY, JSON
@@ -47,7 +47,8 @@ async def upload(
         ),
     ] = None,
     format: Annotated[
-        str | None, Query(max_length=10, description=f"The format, if the name does not say it: {listed().lower()}.")
+        str | None,
+        Query(max_length=10, description=f"The format, if the name does not say it: {format_list().lower()}."),
     ] = None,
 ) -> JobInfo:
     """Uploads a garment. The body of the request is the raw bytes of its file, or a form (multipart/form-data) of a

@@ -87,7 +87,7 @@ def avatar_files(file: Path, out: Path, *, meaning: str | None, body: str) -> tu
 
     named, payload = json.loads(meaning) if meaning else {}, file.read_bytes()
     wearer = read_wearer(
-        payload, name=wearer_name(file.stem), body=load_body(body), told=named.get("joints"),
+        payload, name=wearer_name(file.stem), body=load_body(body), joints=named.get("joints"),
         kinds=named.get("parts"), begun=_say,
     )  # fmt: skip
     stored = save_wearer(wearer, out)  # before its clothes: the service looks at it meanwhile

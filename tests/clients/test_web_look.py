@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.avatar.own_clothes import Halves, bare_faces, taken_off
-from drape.avatar.own_garments import Undressed, undressed
+from drape.avatar.own_clothes import Halves, bare_faces, removed_faces
+from drape.avatar.own_garments import Undressed, undress
 from drape.avatar.rig_file import bare_file
 from drape.avatar.wearer import Wearer, read_wearer
 from drape.body.model import BodyModel
@@ -256,7 +256,7 @@ def dressed(body: BodyModel) -> tuple[bytes, Wearer]:
 def test_bare_skin_moves_with_the_character(dressed: tuple[bytes, Wearer], rng: np.random.Generator, tmp_path: Path):
     """Where players put it is where the body that was laid on the character is posed."""
     payload, wearer = dressed
-    off = taken_off(wearer.attire, Halves(True, False))
+    off = removed_faces(wearer.attire, Halves(True, False))
     chosen = bare_faces(wearer.body, wearer.vertices, wearer.faces, off)
     assert wearer.file is not None
     bare = bare_file(wearer, wearer.file, Undressed(off, chosen)).to_bytes()
@@ -296,7 +296,7 @@ def test_a_tucked_top_is_drawn_deeper_than_skin_that_is_bare(
 ):
     payload, wearer = dressed
     none, trousers = np.zeros(len(wearer.faces), dtype=bool), open_garment(find_garments(["trousers"])[0], body)
-    left = undressed(wearer, none, [(trousers.vertices, trousers.faces)], Halves(False, True))
+    left = undress(wearer, none, [(trousers.vertices, trousers.faces)], Halves(False, True))
     assert wearer.file is not None
     bare = bare_file(wearer, wearer.file, left).to_bytes()
     avatar = {"joints": wearer.joints, "rest_joints": wearer.body.joints_template.tolist(), "scale": wearer.scale}

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from drape.errors import MeshError
 from drape.files.gltf import GltfFile
-from drape.files.gltf_json import shown
+from drape.files.gltf_json import excerpt
 from drape.files.looks import Looks, Material, Slot
 
 
@@ -26,13 +26,13 @@ def gltf_looks(file: GltfFile, used: list[int | None]) -> tuple[Looks, tuple[str
             source = next((_object(e).get("source") for e in others.values() if "source" in _object(e)), None)
             # The picture that every program reads comes before that of an extension.
             image = entry.get("source", source)
-            if shown(image) not in pictures:
+            if excerpt(image) not in pictures:
                 content = file.picture(image)
                 if content is None:
                     raise MeshError("picture", expected="a file beside", got="none", cure="Send it in the same zip.")
-                pictures[shown(image)] = len(held)
+                pictures[excerpt(image)] = len(held)
                 held.append(content)
-            return pictures[shown(image)]
+            return pictures[excerpt(image)]
         except MeshError as error:
             notes.append(f"warning: a picture is left out: {error}")
             return None

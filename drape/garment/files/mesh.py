@@ -17,9 +17,9 @@ import numpy as np
 
 from drape.errors import MeshError, NotFound, legible
 from drape.files.beside import file_beside
-from drape.files.formats import MESH_FORMATS, listed, sniff
+from drape.files.formats import MESH_FORMATS, format_list, sniff
 from drape.files.looks import NO_LOOKS, Looks
-from drape.files.pictures import with_remade
+from drape.files.pictures import remake_pictures
 
 BYTES_LIMIT = 96 * 2**20
 VERTEX_LIMIT = 400_000
@@ -141,7 +141,7 @@ def read_mesh(
     beside = partial(file_beside, folder, most_bytes=BYTES_LIMIT)
     mesh = read_payload(payload, name=name, kind=kind, vertex_limit=vertex_limit, beside=beside)
     names = tuple(legible(one)[:MATERIAL_CHARACTERS] for one in mesh.material_names)
-    looks, notes = with_remade(mesh.looks)
+    looks, notes = remake_pictures(mesh.looks)
     return replace(mesh, material_names=names, looks=looks).noted(*notes)
 
 
@@ -151,7 +151,7 @@ def read_payload(payload: bytes, *, name: str, kind: str, vertex_limit: int, bes
     kind = "glb" if kind == "vrm" else kind
     form = next((one for one in MESH_FORMATS if one.name == kind), None)
     if form is None:
-        raise mesh_fault(name, listed(), f".{kind}", "Export the mesh as one of these.")
+        raise mesh_fault(name, format_list(), f".{kind}", "Export the mesh as one of these.")
     if not payload.strip():
         raise mesh_fault(name, "a mesh", "an empty file")
     module, _, function = form.reader.partition(".")

@@ -9,8 +9,8 @@ from drape.avatar.attire import Attire, attire_of
 from drape.avatar.attire_words import KINDS, WORDS, kind_of_names
 from drape.avatar.character import character_in
 from drape.avatar.face_colours import face_colours
-from drape.avatar.mapping import mapped
-from drape.avatar.t_pose import t_posed
+from drape.avatar.mapping import map_joints
+from drape.avatar.t_pose import to_t_pose
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, open_garment
 from drape.errors import NotFound
@@ -44,10 +44,10 @@ def told(payload: bytes, body: BodyModel, kinds: dict[str, str] | None = None) -
     """The attire of a character, and which triangle of its file each face is."""
     file = GltfFile(payload)
     character = character_in(file)
-    pose = t_posed(character, mapped(character.skinned, body).rig)
+    pose = to_t_pose(character, map_joints(character.skinned, body).rig)
     assert character.triangle is not None
     colours = face_colours(file, character.primitives)[character.triangle]
-    return attire_of(file, character, pose, colours, told=kinds), character.triangle
+    return attire_of(file, character, pose, colours, corrections=kinds), character.triangle
 
 
 def share_right(attire: Attire, triangle: np.ndarray, parts: list[Worn]) -> float:

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from drape.avatar import character as reading
 from drape.avatar.character import character_in
-from drape.avatar.mapping import mapped
-from drape.avatar.t_pose import t_posed
+from drape.avatar.mapping import map_joints
+from drape.avatar.t_pose import to_t_pose
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MeshError
@@ -64,11 +64,11 @@ def test_bones_of_vrm_name_nodes(body: BodyModel, version: str):
 def test_plates_that_hang_on_bones_count_for_the_height_and_a_hat_does_not(body: BodyModel):
     """A robot whose hands alone are skinned is as tall as its plates."""
     found = character_in(gltf.GltfFile(character(body)))
-    rig = mapped(found.skinned, body, label="me").rig
+    rig = map_joints(found.skinned, body, label="me").rig
     height = found.vertices[found.faces][:, :, 1]
     whole, top = np.ptp(found.vertices[:, 1]), height.max() - 0.1
     for hung, told in ((height.max(axis=1) < 0.3, whole), (height.min(axis=1) > top, whole - 0.1)):
-        assert_allclose(t_posed(replace(found, hung=hung), rig).height_m, told, atol=0.02)
+        assert_allclose(to_t_pose(replace(found, hung=hung), rig).height_m, told, atol=0.02)
 
 
 def test_vertices_that_were_split_for_texture_are_one(body: BodyModel):

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from numpy.testing import assert_allclose
 
-from drape.avatar.below_cloth import kept_below
+from drape.avatar.below_cloth import keep_below
 from drape.avatar.character_surface import moving_character
 from drape.avatar.own_garments import Undressed
 from drape.avatar.rig_file import Dressed
@@ -82,7 +82,7 @@ def test_covered_skin_is_kept_below_the_cloth():
     grown = np.stack([ball.vertices, 1.1 * ball.vertices]).astype(np.float32)  # through the cloth by a centimetre
     part = MovingGarment(skin, np.concatenate([grown[:1], grown]), COLOUR)
     worn = MovingGarment(sheet, np.stack([cloth, cloth]).astype(np.float32), COLOUR)
-    (below,) = kept_below([part], [(cloth, faces)], [worn])
+    (below,) = keep_below([part], [(cloth, faces)], [worn])
     assert below.vertices.shape == (2, len(cloth), 3)
     assert_allclose(below.vertices[0], ball.vertices, atol=1e-7)
     reach, high = np.linalg.norm(below.vertices[1], axis=1), ball.vertices[:, 1]

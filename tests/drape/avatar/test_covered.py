@@ -79,7 +79,8 @@ def test_faces_are_told_as_triangles_of_the_file(body: BodyModel, tmp_path: Path
     read, wearer = character_in(GltfFile(payload)), bare_wearer()
     cloth = cylinder(0.45, 0.3, 0.03)  # arms pass through it, the trunk is too far inside
     centred = cloth[0] + wearer.vertices.mean(axis=0), cloth[1]
-    covered, own = covered_in_file(save_wearer(wearer, tmp_path), wearer.vertices, wearer.faces, [centred])
+    surface, none = (wearer.vertices, wearer.faces), np.zeros(len(wearer.faces), dtype=bool)
+    covered, own = covered_in_file(save_wearer(wearer, tmp_path), *surface, [centred], none, MARGIN_M)
     (primitive,) = own
     assert primitive.primitive.triangles == len(body.faces) and read.triangle is not None
     runs = [np.arange(begin, begin + count) for begin, count in primitive.ranges]

@@ -9,12 +9,12 @@ import pytest
 
 from drape.avatar.character import character_in
 from drape.avatar.file_skeleton import FileRig, file_rig
-from drape.avatar.mapping import mapped
-from drape.avatar.t_pose import t_posed
+from drape.avatar.mapping import map_joints
+from drape.avatar.t_pose import to_t_pose
 from drape.body.model import BodyModel
 from drape.errors import DrapeError
 from drape.files.gltf import GltfFile
-from drape.files.packed import packed
+from drape.files.packed import pack
 from tests.fixtures.characters import character
 from tests.fixtures.hostile_characters import HALF_PAIR, spoilt_fields, spoilt_wholes
 
@@ -40,7 +40,7 @@ def read(payload: bytes, body: BodyModel) -> FileRig | str:
         file = GltfFile(payload)
         found = character_in(file)
         kept = file_rig(file, found)
-        t_posed(found, mapped(found, body).rig)
+        to_t_pose(found, map_joints(found, body).rig)
         return kept
     except DrapeError as error:
         return str(error)
@@ -55,7 +55,7 @@ def test_whatever_is_wrong_with_a_file_it_is_refused_in_a_sentence_or_read(small
             refused += 1
             assert found.isprintable() and len(found) < 1200, ascii(name)
         else:
-            assert len(packed(found.arrays())) < 600_000, ascii(name)
+            assert len(pack(found.arrays())) < 600_000, ascii(name)
     assert refused > most / 4
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.avatar.distilled import Distilled, DrapedClip, distil, to_world
+from drape.avatar.distilled import Distilled, DrapedClip, distil, pelvis_places
 from drape.avatar.file_skeleton import FileRig
 from drape.avatar.joint_file import Jointed, add_clip, node_motions
 from drape.avatar.rig_file import add_nodes
@@ -27,6 +27,12 @@ from tests.fixtures.poses import smooth_motion
 
 COLOUR = (0.2, 0.4, 0.7, 1.0)
 FRAMES, COUNT = 20, 6
+
+
+def to_world(motion: RigMotion, seen: np.ndarray, scale: float) -> np.ndarray:
+    """Points (F, V, 3) [m] in the world of points ``seen`` from the pelvis, in the unit of the file."""
+    at = pelvis_places(motion)
+    return scale * (seen @ at[:, :, :3].swapaxes(-1, -2) + at[:, None, :, 3])
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse
 
 from drape.avatar.character import Character, character_in
-from drape.avatar.mapping import SWAPPED, mapped
+from drape.avatar.mapping import SWAPPED, map_joints
 from drape.avatar.shape_joints import joints_by_shape
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES, PARENTS
@@ -35,7 +35,7 @@ def nameless(found: Character) -> Character:
 @pytest.mark.parametrize("yaw_rad", [0.0, np.pi, 0.5])
 def test_a_body_without_names_has_the_joints_that_names_tell(body: BodyModel, arms_rad: float, yaw_rad: float):
     found = character_in(GltfFile(character(body, arms_rad=arms_rad, yaw_rad=yaw_rad, scale=0.01)))
-    wanted, got = mapped(found, body), mapped(nameless(found), body)
+    wanted, got = map_joints(found, body), map_joints(nameless(found), body)
     assert (wanted.by, wanted.confidence, got.by) == ("names", 1.0, "shape") and 0.7 < got.confidence < 1.0
     assert {joint: got.rig.sources[joint] for joint in NEEDED} == {joint: wanted.rig.sources[joint] for joint in NEEDED}
     np.testing.assert_allclose(got.rig.alignment, wanted.rig.alignment, atol=1e-9)
@@ -47,14 +47,14 @@ def test_characters_of_others_have_by_shape_the_joints_that_names_tell(body: Bod
     assert folder is not None
     for path in sorted(one for one in folder.iterdir() if one.suffix in AVATAR_SUFFIXES):
         found = character_in(GltfFile(path.read_bytes()))
-        wanted, got = mapped(found, body).rig.sources, joints_by_shape(nameless(found)).sources
+        wanted, got = map_joints(found, body).rig.sources, joints_by_shape(nameless(found)).sources
         wrong = [joint for joint in NEEDED if got.get(joint) != wanted[joint]]
         assert not wrong, (path.name, wrong)
 
 
 def test_twist_bones_and_rolls_are_passed_over(body: BodyModel):
     found = nameless(character_in(GltfFile(character(body))))
-    want = mapped(character_in(GltfFile(character(body))), body).rig.sources
+    want = map_joints(character_in(GltfFile(character(body))), body).rig.sources
     for joint, end in (("left_shoulder", "left_elbow"), ("left_hip", "left_knee"), ("right_elbow", "right_wrist")):
         found = with_twist(found, want[joint], want[end])
     got = joints_by_shape(found).sources
@@ -80,19 +80,19 @@ def with_twist(found: Character, node: int, end: int) -> Character:
 def test_what_is_told_wins_over_places(body: BodyModel):
     found = nameless(character_in(GltfFile(character(body))))
     spine = found.names[joints_by_shape(found).sources["spine2"]]
-    got = mapped(found, body, told={"spine3": spine})
+    got = map_joints(found, body, joints={"spine3": spine})
     assert got.by == "shape" and found.names[got.rig.sources["spine3"]] == spine
     whole = {joint: found.names[node] for joint, node in got.rig.sources.items()}
-    again = mapped(found, body, told=whole)
+    again = map_joints(found, body, joints=whole)
     assert again.by == "told" and again.rig.sources == got.rig.sources
 
 
 def test_left_and_right_that_are_swapped_are_told(body: BodyModel):
     found = character_in(GltfFile(character(body, scheme="unreal")))
-    assert mapped(found, body).notes == ()
+    assert map_joints(found, body).notes == ()
     other = {"l": "r", "r": "l"}
     names = tuple(f"{name[:-1]}{other[name[-1]]}" if name[-2:] in ("_l", "_r") else name for name in found.names)
-    assert mapped(replace(found, names=names), body).notes == (SWAPPED,)
+    assert map_joints(replace(found, names=names), body).notes == (SWAPPED,)
 
 
 # --- what is no person ---

@@ -22,11 +22,11 @@ from drape.avatar.own_clothes import (
     bare_faces,
     doubled_ends,
     layers_of,
+    removed_faces,
     sewn_to_ends,
-    taken_off,
-    tucked,
+    tucked_faces,
 )
-from drape.avatar.own_garments import Undressed, undressed
+from drape.avatar.own_garments import Undressed, undress
 from drape.avatar.parts import PARTS, parts_of
 from drape.avatar.rig_file import GAMMA, bare_file
 from drape.avatar.t_pose import TPose
@@ -95,7 +95,7 @@ def test_the_catalogue_lies_on_its_halves(name: str, body: BodyModel, shelf: dic
 
 
 def kinds_off(attire: Attire, halves: Halves) -> set[str]:
-    return {attire.parts[number].kind for number in np.unique(attire.part[taken_off(attire, halves)])}
+    return {attire.parts[number].kind for number in np.unique(attire.part[removed_faces(attire, halves)])}
 
 
 def test_a_top_takes_off_the_top_and_the_rucksack_and_trousers_the_trousers(cut_away: Wearer):
@@ -115,7 +115,7 @@ def test_the_body_is_laid_below_the_clothes(whole: Wearer, cut_away: Wearer, bod
     trunk = (np.abs(body.v_template[:, 0]) < 0.15) & (np.abs(body.v_template[:, 1] - body.joints_template[3, 1]) < 0.15)
     gaps = []
     for wearer in (whole, cut_away):
-        off = taken_off(wearer.attire, Halves(True, True))
+        off = removed_faces(wearer.attire, Halves(True, True))
         bare = closest_point(wearer.body.v_template[trunk], body.v_template, body.faces).distance
         gaps.append(float(np.median(bare)))
         assert signed_distance(wearer.vertices[np.unique(wearer.faces[off])], body.v_template, body.faces).max() > 0.02
@@ -125,7 +125,7 @@ def test_the_body_is_laid_below_the_clothes(whole: Wearer, cut_away: Wearer, bod
 def test_a_top_lies_over_trousers_that_stay(whole: Wearer):
     """A T-shirt lies over trousers that stay: the body below it encloses them, and the bare one does not."""
     assert whole.body_under(Halves(False, True)) is whole.body
-    trousers = np.unique(whole.faces[taken_off(whole.attire, Halves(False, True))])
+    trousers = np.unique(whole.faces[removed_faces(whole.attire, Halves(False, True))])
     hips = trousers[whole.vertices[trousers, 1] > whole.body.joints_template[0, 1] - 0.05]
     out = {
         key: signed_distance(whole.vertices[hips], one.v_template, one.faces)
@@ -141,8 +141,8 @@ def test_a_top_that_stays_is_tucked_into_trousers(
     """It lies on the skin from the waistband on and ends below it, joins what is left of it, and hides the skin."""
     wearer, halves = request.getfixturevalue(made), Halves(False, True)
     cut = tailored(shelf["trousers"], body, wearer.body_under(halves))
-    left = undressed(wearer, np.zeros(len(wearer.faces), dtype=bool), [(cut.vertices, cut.faces)], halves)
-    top, tops = left.tucked, tucked(wearer.attire, halves)
+    left = undress(wearer, np.zeros(len(wearer.faces), dtype=bool), [(cut.vertices, cut.faces)], halves)
+    top, tops = left.tucked, tucked_faces(wearer.attire, halves)
     assert top is not None and (left.off & tops)[top.rows].all()
     off_skin = closest_point(top.vertices, wearer.body.v_template, wearer.body.faces).distance
     waist_m = np.quantile(cut.vertices[:, 1], 0.995)
@@ -157,7 +157,7 @@ def test_a_top_that_stays_is_tucked_into_trousers(
     for skin in (shown, own):
         trunk = (np.abs(skin[:, 0]) < 0.1) & (np.abs(skin[:, 1] - waist_m) < BELOW_M - 0.03)
         assert not trunk.any()
-    assert not tucked(wearer.attire, Halves(True, True)).any()
+    assert not tucked_faces(wearer.attire, Halves(True, True)).any()
     stays = wearer.faces[tops & ~left.off]  # such a top may be painted on the skin, which then shows through it
     middle = wearer.body.v_template[wearer.body.faces[left.bare]].mean(axis=1)
     assert closest_point(middle, wearer.vertices, stays).distance.min() > INSET_M
@@ -189,7 +189,7 @@ def test_no_skin_is_bare_where_a_coarse_top_is_tucked_in(cut_away: Wearer, shelf
         ),
     )
     none = np.zeros(len(coarse.faces), dtype=bool)
-    left = undressed(coarse, none, [(shelf["trousers"].vertices, shelf["trousers"].faces)], Halves(False, True))
+    left = undress(coarse, none, [(shelf["trousers"].vertices, shelf["trousers"].faces)], Halves(False, True))
     middle = trunk[coarse.body.faces[left.bare]].mean(axis=1)
     there = (np.abs(middle[:, 1] - waist_m - 0.17) < 0.12) & (np.abs(middle[:, 0]) < 0.2)
     assert left.tucked is not None and not there.any()
@@ -199,7 +199,7 @@ def test_a_tucked_top_is_drawn_in_its_own_colours(cut_away: Wearer, body: BodyMo
     """Beside bare skin, on the character's own nodes, where it was drawn in."""
     cloth = [(shelf["trousers"].vertices, shelf["trousers"].faces)]
     none = np.zeros(len(cut_away.faces), dtype=bool)
-    left = undressed(cut_away, none, cloth, Halves(False, True))
+    left = undress(cut_away, none, cloth, Halves(False, True))
     assert left.tucked is not None and left.bare.any() and cut_away.file is not None
     file = GltfFile(bare_file(cut_away, cut_away.file, left).to_bytes())
     found = character_in(file)
@@ -219,14 +219,14 @@ def test_a_top_that_ends_above_trousers_stays(body: BodyModel, shelf: dict[str, 
     payload = dressed_character(body, [*parts[:-1], parts[-1]._replace(vertices=short)])
     wearer, trousers = read_wearer(payload, name="me", body=body), shelf["trousers"]
     none = np.zeros(len(wearer.faces), dtype=bool)
-    left = undressed(wearer, none, [(trousers.vertices, trousers.faces)], Halves(False, True))
+    left = undress(wearer, none, [(trousers.vertices, trousers.faces)], Halves(False, True))
     assert left.tucked is None and not left.off.any()
 
 
 def test_no_hole_is_left_where_clothes_come_off(cut_away: Wearer):
     """Whatever of the body lay below the clothes has skin of its own near, or is among the bare faces."""
     halves = Halves(True, True)
-    body, off = cut_away.body, taken_off(cut_away.attire, halves)
+    body, off = cut_away.body, removed_faces(cut_away.attire, halves)
     bare = bare_faces(body, cut_away.vertices, cut_away.faces, off)
     middle = body.v_template[body.faces].mean(axis=1)
     below = closest_point(middle, cut_away.vertices, cut_away.faces[off]).distance < 0.05
@@ -238,7 +238,7 @@ def test_no_hole_is_left_where_clothes_come_off(cut_away: Wearer):
 def test_what_a_top_bared_at_the_hips_has_the_colour_of_the_trousers(cut_away: Wearer):
     """A coat hid how high they go: skin would be seen between them and a shorter shirt in a squat."""
     body, file = cut_away.body, cut_away.file
-    off = taken_off(cut_away.attire, Halves(True, False))
+    off = removed_faces(cut_away.attire, Halves(True, False))
     bare = bare_faces(body, cut_away.vertices, cut_away.faces, off)
     surface = cut_away.vertices, cut_away.faces
     colours = bare_colours(body, cut_away.attire, *surface, off)
@@ -249,7 +249,7 @@ def test_what_a_top_bared_at_the_hips_has_the_colour_of_the_trousers(cut_away: W
     assert file is not None
     made = GltfFile(bare_file(cut_away, file, Undressed(off, bare)).to_bytes())
     assert "COLOR_0" in made.item("meshes", 0).primitives[0].attributes
-    every = taken_off(cut_away.attire, Halves(True, True))
+    every = removed_faces(cut_away.attire, Halves(True, True))
     assert (bare_colours(body, cut_away.attire, *surface, every) == cut_away.attire.skin_colour).all()
 
 
@@ -266,7 +266,7 @@ def test_a_character_keeps_its_own_head_and_hands(cut_away: Wearer):
     headless = faces[(weights[faces[:, 0], JOINT_NAMES.index("head")] < 0.01)]
     assert not doubled_ends(body, weights, headless)[bone == JOINT_NAMES.index("head")].any()
     every = Halves(True, True)
-    left = undressed(cut_away, np.zeros(len(faces), dtype=bool), [], every)
+    left = undress(cut_away, np.zeros(len(faces), dtype=bool), [], every)
     assert left.bare.any() and not (left.bare & doubled).any()
 
 
@@ -301,7 +301,7 @@ def test_bare_skin_under_a_garment_is_drawn_deeper(cut_away: Wearer, body: BodyM
     halves = Halves(True, False)
     cut = tailored(shelf["tshirt"], body, cut_away.body_under(halves))
     none = np.zeros(len(cut_away.faces), dtype=bool)
-    left = undressed(cut_away, none, [(cut.vertices, cut.faces)], halves)
+    left = undress(cut_away, none, [(cut.vertices, cut.faces)], halves)
     assert left.deep is not None and not (left.deep & ~left.bare).any() and cut_away.file is not None
     middle = cut_away.body.v_template[cut_away.body.faces].mean(axis=1)
     near = closest_point(middle, cut.vertices.astype(float), cut.faces.astype(int)).distance < 0.03
@@ -314,7 +314,7 @@ def test_bare_skin_under_a_garment_is_drawn_deeper(cut_away: Wearer, body: BodyM
 def test_bare_skin_lies_on_the_character_s_own_nodes(cut_away: Wearer):
     """Skinned by the nodes of its file, which stand in T-pose, it is the body that was laid below."""
     halves = Halves(True, True)
-    body, off = cut_away.body, taken_off(cut_away.attire, halves)
+    body, off = cut_away.body, removed_faces(cut_away.attire, halves)
     chosen = bare_faces(body, cut_away.vertices, cut_away.faces, off)
     assert cut_away.file is not None
     skin = character_in(GltfFile(bare_file(cut_away, cut_away.file, Undressed(off, chosen)).to_bytes()))

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 
 import drape
-from drape.avatar.attire_words import CLOTHES
 from drape.avatar.own_clothes import Halves, halves_of
 from drape.avatar.own_garments import (
     BURIED_M,
+    KINDS,
     OWN,
     OwnGarments,
     _buried,
     _large_pieces,
     body_of,
-    dressed_in,
     halves_on,
     own_faces,
     own_garments,
-    undressed,
+    split_own,
+    undress,
 )
 from drape.avatar.wearer import Wearer, read_wearer, upper_body
 from drape.body.model import BodyModel
@@ -118,7 +118,7 @@ def test_clothes_of_the_skins_own_mesh_are_painted_on_it(wearer: Wearer, file: b
     chest = wearer.vertices[wearer.faces].mean(axis=1)[:, 1] > wearer.body.joints_template[SPINE.argmax(), 1]
     part[(part == skin) & chest] = len(wearer.attire.parts)
     painted = wearer.attire.parts[skin]._replace(kind="outer", name="painted")
-    others = [one._replace(kind="shoes" if one.kind in CLOTHES else one.kind) for one in wearer.attire.parts]
+    others = [one._replace(kind="shoes" if one.kind in KINDS else one.kind) for one in wearer.attire.parts]
     attire = wearer.attire._replace(parts=(*others, painted), part=part)
     found = own_garments(file, replace(wearer, attire=attire))
     assert found.stiff["painted"] == "It is painted on the skin, or one mesh with it."
@@ -158,15 +158,15 @@ def test_what_lies_deep_in_the_body_and_small_pieces_stay(body: BodyModel, shelf
 
 def test_ours_replace_what_they_take_off(own: OwnGarments, wearer: Wearer, body: BodyModel, shelf: dict[str, Garment]):
     trousers, top = own.garments
-    assert dressed_in(own.garments, Halves(False, False)) == ([trousers], [top])
-    assert dressed_in(own.garments, Halves(True, False)) == ([trousers], [])
-    assert dressed_in(own.garments, Halves(False, True)) == ([], [top])
+    assert split_own(own.garments, Halves(False, False)) == ([trousers], [top])
+    assert split_own(own.garments, Halves(True, False)) == ([trousers], [])
+    assert split_own(own.garments, Halves(False, True)) == ([], [top])
     worn = [trousers, shelf["tshirt"]]
     assert halves_on(wearer, worn, body) == (True, True)
     cloth = [(one.vertices, one.faces) for one in worn]
-    left = undressed(wearer, own_faces(wearer, worn), cloth, halves_of([shelf["tshirt"]], body))
+    left = undress(wearer, own_faces(wearer, worn), cloth, halves_of([shelf["tshirt"]], body))
     assert kinds_of(wearer, left.off) == {"top", "trousers", "carried", "dress"}
-    only_top = undressed(wearer, own_faces(wearer, [top]), cloth, Halves(False, False))
+    only_top = undress(wearer, own_faces(wearer, [top]), cloth, Halves(False, False))
     assert kinds_of(wearer, only_top.off) == {"top"}
 
 

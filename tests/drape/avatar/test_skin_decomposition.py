@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from drape.avatar.affine_maps import affine_inverse, compose, rigid_fit
 from drape.avatar.skin_decomposition import (
-    blended,
+    blend_vertices,
     farthest_points,
     fit_moves,
     fit_weights,
@@ -36,11 +36,11 @@ def skinned() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     weights = np.clip(1.0 - away, 0.0, 1.0)
     weights /= weights.sum(axis=1, keepdims=True)
     moves = motions(rng)
-    return rest, weights, moves, blended(weights, rest, moves)
+    return rest, weights, moves, blend_vertices(weights, rest, moves)
 
 
 def rms(rest: np.ndarray, weights: np.ndarray, moves: np.ndarray, frames: np.ndarray) -> float:
-    return float(np.sqrt(((blended(weights, rest, moves) - frames) ** 2).sum(axis=-1).mean()))
+    return float(np.sqrt(((blend_vertices(weights, rest, moves) - frames) ** 2).sum(axis=-1).mean()))
 
 
 def everything() -> np.ndarray:
@@ -140,10 +140,10 @@ def test_clusters_are_the_rigid_parts():
     rng = np.random.default_rng(5)
     rest = rng.uniform(-0.3, 0.3, (90, 3)) + np.repeat([[0.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]], 30, axis=0)
     moves, part = motions(rng, bones=3), np.repeat([0, 1, 2], 30)
-    frames = blended(np.eye(3)[part], rest, moves)
+    frames = blend_vertices(np.eye(3)[part], rest, moves)
     found, fitted = rigid_clusters(rest, frames, 3)
     assert len({(a, b) for a, b in zip(part, found, strict=True)}) == 3
-    assert_allclose(blended(np.eye(3)[found], rest, fitted), frames, atol=1e-12)
+    assert_allclose(blend_vertices(np.eye(3)[found], rest, fitted), frames, atol=1e-12)
 
 
 def test_farthest_points_are_corners():

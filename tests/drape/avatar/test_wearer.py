@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.avatar import wearer as wearers
 from drape.avatar.body_fit import target_joints
 from drape.avatar.character import character_in
-from drape.avatar.mapping import mapped
-from drape.avatar.t_pose import t_posed
+from drape.avatar.mapping import map_joints
+from drape.avatar.t_pose import to_t_pose
 from drape.avatar.wearer import Wearer, load_wearer, main, read_wearer, save_wearer, wearer_name
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
@@ -39,7 +39,7 @@ def worn(body: BodyModel) -> Wearer:
 def test_a_character_in_an_a_pose_comes_to_the_t_pose(body: BodyModel):
     payload = character(body, arms_rad=ARMS_DOWN_RAD, yaw_rad=np.pi)
     found = character_in(GltfFile(payload))
-    pose = t_posed(found, mapped(found, body).rig)
+    pose = to_t_pose(found, map_joints(found, body).rig)
     rest = body.v_template - [0.0, body.v_template[:, 1].min(), 0.0]
     distance, _ = nearest_vertices(pose.vertices, rest)
     # The arms of the body itself are not level to a degree: at a wrist, 0.6 m out, that is a centimetre.
@@ -115,12 +115,12 @@ def test_a_damaged_file_or_that_of_another_body_is_refused(worn: Wearer, body: B
 def test_a_joint_that_is_told_counts(body: BodyModel):
     found = character_in(GltfFile(character(body)))
     told = {"spine3": "mixamorig:Spine1"}
-    rig = mapped(found, body, told=told).rig
+    rig = map_joints(found, body, joints=told).rig
     assert found.names[rig.sources["spine3"]] == "mixamorig:Spine1"
     with pytest.raises(NotFound, match="joint"):
-        mapped(found, body, told={"tail": "mixamorig:Spine1"})
+        map_joints(found, body, joints={"tail": "mixamorig:Spine1"})
     with pytest.raises(NotFound, match="a node"):
-        mapped(found, body, told={"spine3": "Spine9"})
+        map_joints(found, body, joints={"spine3": "Spine9"})
 
 
 def test_bones_of_no_person_are_refused(body: BodyModel):

@@ -12,9 +12,9 @@ from numpy.testing import assert_allclose
 
 from drape.avatar.affine_maps import compose
 from drape.avatar.character import tree_of
-from drape.avatar.distilled import DrapedClip, distil, pelvis_places, to_world
+from drape.avatar.distilled import DrapedClip, distil, pelvis_places
 from drape.avatar.joint_file import Jointed
-from drape.avatar.joint_springs import JointSprings, fit_springs, leg_capsules, sunk
+from drape.avatar.joint_springs import JointSprings, fit_springs, leg_capsules, sink_depths
 from drape.avatar.rig_motion import RigClip, rig_motion
 from drape.avatar.rig_weights import HEAVIEST
 from drape.avatar.wearer import Wearer, read_wearer
@@ -24,7 +24,7 @@ from drape.errors import InputError
 from drape.files.gltf import GltfFile
 from drape.garment.cache import Garment
 from drape.motion.spring_bones import Capsules, Springs
-from tests.drape.avatar.test_joint_file import COLOUR, FRAMES, swaying
+from tests.drape.avatar.test_joint_file import COLOUR, FRAMES, swaying, to_world
 from tests.fixtures.characters import character, with_json
 from tests.fixtures.glb_reader import Reader, khronos_complaints
 from tests.fixtures.poses import smooth_motion
@@ -213,7 +213,7 @@ def test_cloth_sinks_by_what_it_is_deeper_than_it_was_draped():
     )
     start, end = (np.full((4, 1, 3), [0.0, y, 0.0]) for y in (-1.0, 1.0))
     legs = Capsules(start, end, np.array([0.1]), np.ones((1, 1), dtype=bool))
-    assert_allclose(sunk(at, draped, legs).reshape(-1), [0.0, 0.02, 0.02, 0.0], atol=1e-12)
+    assert_allclose(sink_depths(at, draped, legs).reshape(-1), [0.0, 0.02, 0.02, 0.0], atol=1e-12)
 
 
 def test_what_a_character_wears_makes_its_legs_no_wider(clip: DrapedClip, worn: Wearer):

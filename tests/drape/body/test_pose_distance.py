@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drape.artifacts import DEFAULT_MODEL, load_manifest, model_folder
-from drape.body.pose_distance import LEGS, TRUNK, PoseSupport, pose_parts, read_pose_support, wandering
+from drape.body.pose_distance import LEGS, TRUNK, PoseSupport, mixed_poses, pose_parts, read_pose_support
 from drape.catalog import MOTIONS_DIR
 from drape.errors import ArtifactError
 from drape.geometry.rotations import matrix_to_rotvec, matrix_to_sixd, rotvec_to_matrix
@@ -88,9 +88,9 @@ def test_what_is_written_is_read_and_anything_else_refused(support: PoseSupport,
         read_pose_support(path)
 
 
-def test_wandering_poses_mix_what_is_kept_and_are_none_that_training_never_saw(support: PoseSupport):
-    poses = wandering(support, 40)
+def test_mixed_poses_mix_what_is_kept_and_are_none_that_training_never_saw(support: PoseSupport):
+    poses = mixed_poses(support, 40)
     assert poses.shape == (40, 24, 3) and support.novelty(poses).max() < 0.05
-    np.testing.assert_array_equal(poses, wandering(support, 40))
+    np.testing.assert_array_equal(poses, mixed_poses(support, 40))
     assert len(np.unique(poses.round(6), axis=0)) == 40
-    assert len(wandering(support, 10_000)) == len(support.legs)
+    assert len(mixed_poses(support, 10_000)) == len(support.legs)

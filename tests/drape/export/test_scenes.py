@@ -17,7 +17,7 @@ from drape.errors import InputError, Unavailable
 from drape.export.clips import check_name, write_clip
 from drape.export.surface import MovingGarment
 from drape.export.usd_stage import usd_file
-from drape.export.vat import WIDTH, merged, vat_files
+from drape.export.vat import WIDTH, merge_layers, vat_files
 from drape.files.looks import Looks, Material
 from drape.garment.cache import Garment
 from drape.garment.files.usd import read_usd
@@ -100,7 +100,7 @@ def test_a_texture_plays_the_frames(width: int, layers: list[MovingGarment], tmp
 
 
 def test_layers_become_one_with_the_materials_of_all(layers: list[MovingGarment]):
-    whole = merged(layers, "two").surface
+    whole = merge_layers(layers, "two").surface
     assert whole.vertex_count == 432 and whole.faces.max() == 431
     assert whole.looks.material(0) == layers[0].surface.looks.material(0)
     assert whole.looks.material(2) == Material(BLUE)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from drape.files.packed import packed
+from drape.files.packed import pack
 
 
 @pytest.mark.parametrize("quick", [False, True])
 def test_arrays_come_back_and_bytes_are_the_same(quick: bool):
     arrays = {"few": np.arange(6, dtype=np.int16).reshape(2, 3), "none": np.zeros((0, 3)), "one": np.float32(2.5)}
-    content = packed(arrays, quick=quick)
-    assert content == packed(arrays, quick=quick)
+    content = pack(arrays, quick=quick)
+    assert content == pack(arrays, quick=quick)
     with np.load(io.BytesIO(content), allow_pickle=False) as found:
         assert set(found.files) == set(arrays)
         for name, array in arrays.items():

@@ -126,7 +126,7 @@ def test_an_obj_in_the_parts_of_a_form_has_its_pictures():
 
 @pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP", "TGA", "BMP"])
 def test_pictures_are_made_anew_as_png_or_jpeg(kind: str):
-    made = pictures.remade(picture(kind=kind), label="picture")
+    made = pictures.remake_picture(picture(kind=kind), label="picture")
     assert media_type(made) in ("image/png", "image/jpeg")
     assert_allclose(colour_of(made), RED, atol=6)  # JPEG
 
@@ -144,25 +144,25 @@ def test_a_texture_of_ktx2_alone_is_read(packed: bytes):
 
 
 def test_of_a_large_ktx2_the_size_that_is_enough_is_read():
-    assert Image.open(io.BytesIO(pictures.remade(KTX2[1], label="", side=3))).size == (3, 3)
+    assert Image.open(io.BytesIO(pictures.remake_picture(KTX2[1], label="", side=3))).size == (3, 3)
     assert ktx2_picture(KTX2[1], side=3, most_pixels=64, label="").size == (4, 4)
 
 
 def test_without_its_package_a_ktx2_tells_what_to_install(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "opengl_basisu", None)
     with pytest.raises(MeshError, match="the package opengl-basisu"):
-        pictures.remade(KTX2[0], label="picture")
+        pictures.remake_picture(KTX2[0], label="picture")
 
 
 def test_what_else_a_picture_carries_goes_and_alpha_stays():
     told = PngImagePlugin.PngInfo()
     told.add_text("Author", "somebody-secret")
-    assert b"secret" not in pictures.remade(picture(pnginfo=told, icc_profile=b"secret"), label="picture")
+    assert b"secret" not in pictures.remake_picture(picture(pnginfo=told, icc_profile=b"secret"), label="picture")
     spoken = picture(kind="JPEG", comment=b"secret", icc_profile=b"secret", exif=b"Exif\0\0secret")
-    assert b"secret" in spoken and b"secret" not in pictures.remade(spoken, label="picture")
-    assert Image.open(io.BytesIO(pictures.remade(picture((1, 2, 3, 90)), label=""))).mode == "RGBA"
-    assert Image.open(io.BytesIO(pictures.remade(picture((1, 2, 3, 255)), label=""))).mode == "RGB"
-    assert Image.open(io.BytesIO(pictures.remade(picture(size=(4096, 64)), label=""))).size == (2048, 32)
+    assert b"secret" in spoken and b"secret" not in pictures.remake_picture(spoken, label="picture")
+    assert Image.open(io.BytesIO(pictures.remake_picture(picture((1, 2, 3, 90)), label=""))).mode == "RGBA"
+    assert Image.open(io.BytesIO(pictures.remake_picture(picture((1, 2, 3, 255)), label=""))).mode == "RGB"
+    assert Image.open(io.BytesIO(pictures.remake_picture(picture(size=(4096, 64)), label=""))).size == (2048, 32)
 
 
 @pytest.mark.parametrize(
@@ -202,7 +202,7 @@ LOOK = Material(
 
 def whole(material: Material = LOOK) -> GarmentMesh:
     plain = read_mesh(glb_bytes(VERTICES, FACES, UV), name="coat")
-    kept = tuple(pictures.remade(one, label="") for one in (picture(), picture((128, 128, 255))))
+    kept = tuple(pictures.remake_picture(one, label="") for one in (picture(), picture((128, 128, 255))))
     return replace(plain, looks=Looks((material,), kept))
 
 
