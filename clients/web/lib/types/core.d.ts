@@ -309,9 +309,9 @@ export interface AvatarInfo {
   joints: Record<string, string>;
   /** How the joints were found: by VRM's bones, by names, by the places of the nodes, or as a correction says. */
   found_by: "vrm" | "names" | "shape" | "told";
-  /** How sure the joints are, 0 to 1. */
+  /** How much joints that were found by their places are like a person's, 0 to 1. */
   confidence: number;
-  /** Sentences on what was unusual in the file. */
+  /** Sentences on what looks wrong with the character. */
   notes: string[];
   /** The names of its file's nodes, in the order of `rigPose`. */
   nodes: string[];
