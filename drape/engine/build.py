@@ -118,14 +118,12 @@ def host() -> str:
     return f"{system}-{machine}"
 
 
-def build(
-    target: Target, folder: Path, *, tests: bool = False, sanitize: bool = False, jobs: int = os.cpu_count() or 1
-) -> Path:
+def build(target: Target, folder: Path, *, tests: bool = False, sanitize: bool = False) -> Path:
     """Compiles the library of ``target`` into ``folder`` and returns its path; a library that was compiled from the
     same sources in the same way is left as it is.
 
     ``tests``: with the functions that only tests call. ``sanitize``: with checks of memory and of what C++ leaves
-    undefined. ``jobs``: compilers that run side by side. Raises ``CalledProcessError`` where one fails.
+    undefined. A compiler runs on each processor. Raises ``CalledProcessError`` where one fails.
     """
     library = folder / (target.name + ("-tests" if tests else "") + target.suffix)
     made_from = sources_hash(target, tests, sanitize)
@@ -145,7 +143,7 @@ def build(
         command = [*zig, "c++", *common, "-c", str(SOURCE / f"{unit}.cpp"), "-o", str(to)]
         subprocess.run(command, check=True, env=environment)
 
-    with ThreadPoolExecutor(jobs) as pool:
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(compiled, units, objects))
     linked_file = library.with_suffix(".new")  # moved into place whole: another process may have the old one open
     command = [*zig, "c++", *common, *linked, *map(str, objects), "-o", str(linked_file)]
@@ -170,8 +168,8 @@ def build_probe(system: str, folder: Path) -> Path:
     return probe
 
 
-def build_here(folder: Path = LIBRARIES, *, tests: bool = False, sanitize: bool = False) -> None:
-    """Compiles the library for this processor into ``folder``, or for the lower level that ``DRAPE_ISA`` names.
+def build_here(*, tests: bool = False, sanitize: bool = False) -> None:
+    """Compiles the library for this processor into ``LIBRARIES``, or for the lower level that ``DRAPE_ISA`` names.
 
     ``tests``: also the library that only tests load. ``sanitize``: as for ``build``. Ends the program with a sentence
     where the processor or the C library is too old.
@@ -179,15 +177,15 @@ def build_here(folder: Path = LIBRARIES, *, tests: bool = False, sanitize: bool 
     if platform.system() == "Linux" and platform.libc_ver()[0] != "glibc":
         cure = "use a system with it, as Debian or Ubuntu and their images"
         raise SystemExit(f"engine: expected Linux with glibc 2.17 or later, got another C library (musl?); {cure}")
-    folder.mkdir(parents=True, exist_ok=True)
-    level = ctypes.CDLL(str(build_probe(host(), folder))).drape_processor() % 16
+    LIBRARIES.mkdir(parents=True, exist_ok=True)
+    level = ctypes.CDLL(str(build_probe(host(), LIBRARIES))).drape_processor() % 16
     if "x86_64" in host() and level < 2:
         raise SystemExit(f"engine: expected a processor of x86-64-v2 or later, got v{level}; use one of 2009 or later")
     forced = os.environ.get("DRAPE_ISA", "")
     named = [target for target in TARGETS[host()] if forced and target.name.endswith(f"-{forced}")]
     target = named[0] if named else TARGETS[host()][max(level - 2, 0)]
     for what in (False, True)[: 1 + tests]:
-        build(target, folder, tests=what, sanitize=sanitize)
+        build(target, LIBRARIES, tests=what, sanitize=sanitize)
 
 
 def build_system(system: str, folder: Path) -> None:

@@ -74,8 +74,7 @@ class Motion(Stage):
         return bool(plan.options.knob) and plan.options.advanced.inertia == "network"
 
     def rested(self, memory: Memory, time_s: float) -> Memory:
-        """Returns ``memory`` with its latest moment at ``time_s`` [s], and the one before as long before it as it
-        was."""
+        """Returns ``memory`` with its two moments moved in time, so that the latest one is at ``time_s`` [s]."""
         if not memory.moments:
             return memory
         later_s = time_s - memory.moments[0].time_s

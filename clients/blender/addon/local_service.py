@@ -17,8 +17,8 @@ CURE = "Name the environment in which drape and its service are installed, in th
 
 
 def python_of(environment: str) -> Path:
-    """Returns the path of the interpreter in ``environment``: a folder, one that has ``.venv``, or the interpreter
-    itself.
+    """Returns the path of the interpreter that ``environment`` names: itself, or a virtual environment's folder, or a
+    folder that has one as ``.venv``.
 
     Refuses (``Refusal``) one without an interpreter.
     """
