@@ -55,7 +55,7 @@ Shown = TypeVar("Shown", wire.Frame, JetFrame)
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """A frame, and the time [s] from the sending of its pose to now, by this machine's clock."""
+    """A frame, and the time [s] from the sending of its pose to its arrival, by this machine's clock."""
 
     frame: wire.Frame
     age_s: float
@@ -63,7 +63,8 @@ class Received:
 
 @dataclass(frozen=True, eq=False)
 class ReceivedJets:
-    """A frame of posed patches, and the time [s] from the sending of its pose to now, by this machine's clock."""
+    """A frame of posed patches, and the time [s] from the sending of its pose to its arrival, by this machine's
+    clock."""
 
     frame: JetFrame
     age_s: float

@@ -60,8 +60,7 @@ def count_of(rows: Array, dtype: Any) -> Array:
 def identity3(reference: Array) -> Array:
     """Returns identity matrices (..., 3, 3) in the dtype and on the device of ``reference`` (...).
 
-    Stacked from ones and zeros: array-api-compat's torch ``eye`` fills in place,
-    which ONNX export refuses.
+    Stacked from ones and zeros: array-api-compat's torch ``eye`` fills in place, which ONNX export refuses.
     """
     xp = namespace(reference)
     unity = xp.ones_like(reference)

@@ -18,8 +18,7 @@ def walk(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: N
     """Yields the batch of ``inputs`` under ``plan`` after every step; the last one is the result.
 
     A step is a frame in one call, a stage, or a part of a long stage: others may compute between steps. The bodies of
-    the inputs may differ in shape. ``took`` is
-    called with the name of each stage and the time [s] that it took.
+    the inputs may differ in shape. ``took`` is called with the name of each stage and the time [s] that it took.
     """
     batch = Batch.of(plan, inputs)
     first, rest = at_once(plan), plan.stages
