@@ -1,4 +1,4 @@
-"""A request of a client, how it is made of clips and options, and how answers are read."""
+"""Requests of a client, made of clips and options, and readers of their answers."""
 
 from __future__ import annotations
 
@@ -28,19 +28,20 @@ from drape.wire.options import options_document
 Answer = TypeVar("Answer")
 Motion = MotionClip | np.ndarray
 Options = Mapping[str, Any]
-Size = str | Sequence[str | None] | None  # of all garments, or of each
+Size = str | Sequence[str | None] | None  # one size for all garments, or one for each
 
 BINARY, GLB = "application/octet-stream", "model/gltf-binary"
 DEFAULT_URL = "http://127.0.0.1:8000"
 DEFAULT_FPS = 30.0
 DRAPE = "/drape"
-WORN = ("avatar", "alive", "size")  # options that say who wears what, beside those of a drape
+WORN = ("avatar", "alive", "size")  # options beside those of ``DrapeOptions``: who wears what
 STREAMED: Options = {"streamed": True}  # so that the answer may be of any length
 
 
 @dataclass(frozen=True, eq=False)
 class BodyShape:
-    """The body of a request: translations [m] (F, 3) in place of the clip's own, shape, frame rate."""
+    """The body of a request: translations ``trans`` [m] (F, 3) in place of the clip's own, shape coefficients ``betas``
+    (S,), and frames a second. None leaves each to the clip or to the service."""
 
     trans: np.ndarray | None = None
     betas: np.ndarray | None = None
@@ -49,8 +50,8 @@ class BodyShape:
 
 @dataclass(frozen=True, eq=False)
 class PoseClip:
-    """The frames of a request: ``poses`` (F, 24, 3) [rad], or quaternions (F, N, 4) of an avatar's own rig, and
-    ``trans`` (F, 3) [m], None for zeros.
+    """The frames of a request: ``poses`` (F, 24, 3) [rad], or local quaternions (F, N, 4), x, y, z, w, of the nodes of
+    an avatar's own rig, and ``trans`` (F, 3) [m], None for zeros.
 
     Refuses (``MotionError``) other shapes.
     """
@@ -68,7 +69,8 @@ class PoseClip:
 
 @dataclass(frozen=True)
 class Call(Generic[Answer]):
-    """One request and the reader of its answer; ``clip``: frames that it sends beside ``json``."""
+    """One request, and ``read``, which makes the answer of the response. With a ``clip`` the body is a CLIP message of
+    its frames and of ``json``."""
 
     method: str
     path: str
@@ -80,7 +82,7 @@ class Call(Generic[Answer]):
     clip: PoseClip | None = None
 
     def arguments(self) -> dict[str, Any]:
-        """The arguments of httpx's ``request``."""
+        """Returns the arguments of httpx's ``request`` by name."""
         content, headers = self.content, dict(self.headers)
         if self.clip is not None:
             content, headers["Content-Type"] = pack_clip(self.json, self.clip.poses, self.clip.trans), BINARY
@@ -94,14 +96,14 @@ class Call(Generic[Answer]):
         }
 
     def answer(self, response: httpx.Response) -> Answer:
-        """The answer read; raises the service's refusal."""
+        """Returns what ``read`` makes of ``response``; raises the service's refusal (``DrapeError``) if it is one."""
         if response.is_success:
             return self.read(response)
         raise refusal(response)
 
 
 def key_headers(key: str | None) -> dict[str, str]:
-    """The header that says who asks."""
+    """Returns the HTTP header that carries an API ``key`` or a ticket; none for None."""
     return {} if key is None else {"Authorization": f"Bearer {key}"}
 
 
@@ -112,22 +114,22 @@ def get_call(
     betas: np.ndarray | None = None,
     **params: str,
 ) -> Call[Any]:
-    """Returns a GET of the path of ``names``, for a body in the shape ``betas`` if that is given; ``read`` makes the
-    answer of the response."""
+    """Returns the call that GETs the path of ``names`` with the query ``params``, and with ``betas`` (S,), the shape of
+    the body, if they are given. ``read`` makes the answer of the response."""
     if betas is not None:
         params["betas"] = ",".join(repr(float(beta)) for beta in betas)
     return Call("GET", url_path(*names), read, params, {"Accept": accept})
 
 
 def post_call(document: Mapping[str, Any], *names: str) -> Call[dict[str, Any]]:
-    """Returns a POST of ``document``, without the fields that are None, to the path of ``names``. The answer is JSON
-    too."""
-    said = {name: value for name, value in document.items() if value is not None}
-    return Call("POST", url_path(*names), httpx.Response.json, headers={"Accept": "application/json"}, json=said)
+    """Returns the call that POSTs ``document``, without the fields that are None, to the path of ``names``. The answer
+    is the parsed JSON."""
+    given = {name: value for name, value in document.items() if value is not None}
+    return Call("POST", url_path(*names), httpx.Response.json, headers={"Accept": "application/json"}, json=given)
 
 
 def url_path(*names: str) -> str:
-    """Returns the path of ``names`` in an address. Any letter in them is escaped."""
+    """Returns the path of an address made of ``names``, such as "/garments/tshirt"; special characters are escaped."""
     return "".join(f"/{quote(name, safe='')}" for name in names)
 
 
@@ -137,8 +139,9 @@ def _says_itself(entry: Any) -> bool:
 
 
 def upload_avatar_call(path: Path, name: str | None, alive: bool) -> Call[dict[str, Any]]:
-    """Returns the call that sends the character file at ``path``. If it is to be ``alive``, its own clothes become
-    garments. The answer is the job."""
+    """Returns the call that sends the character file at ``path`` under ``name``, by default the file's; its answer is
+    the job. With ``alive`` its own clothes become garments. Refuses (``InputError``) other suffixes and a file that
+    cannot be read."""
     if path.suffix.lower() not in AVATAR_SUFFIXES:
         expected, got = f"one of {', '.join(AVATAR_SUFFIXES)}", path.suffix or "no suffix"
         raise InputError(path.name, expected=expected, got=got, cure="Export the character so.")
@@ -157,7 +160,12 @@ def _content(path: Path) -> bytes:
 
 
 def upload_call(path: Path, avatar: str | dict[str, Any] | None, name: str | None) -> Call[dict[str, Any]]:
-    """Sends a garment file; the answer is the job."""
+    """Returns the call that sends the garment file at ``path`` under ``name``, by default the file's; its answer is the
+    job.
+
+    ``avatar``: the body that it was modelled on, None for the entry of a table beside the file, if there is one.
+    Refuses (``InputError``) other suffixes and a file that cannot be read.
+    """
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise InputError(
             path.name,
@@ -169,8 +177,8 @@ def upload_call(path: Path, avatar: str | dict[str, Any] | None, name: str | Non
     params = {"name": (name or path.stem) + path.suffix.lower()}
     if avatar is None:
         # The service cannot see the folder that the file lies in.
-        found = entry_for(path.name, [path.parent])
-        avatar = found[1] if found is not None and _says_itself(found[1]) else None
+        row = entry_for(path.name, [path.parent])
+        avatar = row[1] if row is not None and _says_itself(row[1]) else None
     if avatar is not None:
         params["avatar"] = json.dumps(avatar) if isinstance(avatar, dict) else avatar
     return Call(
@@ -188,11 +196,12 @@ def drape_call(
     accept: str = BINARY,
     more: Options = STREAMED,
 ) -> Call[Answer]:
-    """Returns the call of a drape. ``options`` have the names of ``drape.wire.options.DrapeOptions``, besides
-    ``avatar``, ``alive`` and ``size``; ``more`` are fields by the service's names."""
+    """Returns the call that drapes ``garment``, or several, over ``motion``; ``read`` makes the answer of the response,
+    which has the media type ``accept``. ``options`` are named as the fields of ``drape.wire.options.DrapeOptions``,
+    besides "avatar", "alive" and "size"; ``more`` are fields by their names on the wire."""
     clip, about = motion_of(motion, body)
-    asked = {**about, **worn_fields(garment, options), **options_document(_without(options, *WORN)), **more}
-    return Call("POST", DRAPE, read, headers={"Accept": accept}, json=asked, clip=clip)
+    fields = {**about, **worn_fields(garment, options), **options_document(_without(options, *WORN)), **more}
+    return Call("POST", DRAPE, read, headers={"Accept": accept}, json=fields, clip=clip)
 
 
 def _without(options: Options, *names: str) -> Options:
@@ -200,8 +209,8 @@ def _without(options: Options, *names: str) -> Options:
 
 
 def at_root(call: Call[np.ndarray]) -> Call[tuple[np.ndarray, np.ndarray]]:
-    """Returns ``call`` changed to one for vertices [m] (F, V, 3) float32 that count from the roots, and for the roots
-    [m] (F, 3) float64."""
+    """Returns a call like ``call`` whose answer is the vertices [m] (F, V, 3) float32 relative to the roots, and the
+    roots [m] (F, 3) float64 in the world."""
 
     def read(response: httpx.Response) -> tuple[np.ndarray, np.ndarray]:
         vertices = call.read(response)
@@ -211,21 +220,21 @@ def at_root(call: Call[np.ndarray]) -> Call[tuple[np.ndarray, np.ndarray]]:
 
 
 def worn_fields(garment: str | Sequence[str], options: Options = MappingProxyType({})) -> dict[str, Any]:
-    """Returns the fields of a request that say what is worn: one garment, several over each other, or none, and from
-    ``options`` the avatar that wears them, whether it is ``alive``, and the size."""
+    """Returns the JSON fields of a request that say what is worn: "garment" for one, "garments" for several over each
+    other, neither for none; and "avatar", "alive" and "size" of ``options``."""
     named = {"garment": garment} if isinstance(garment, str) else {"garments": list(garment)} if garment else {}
     return named | {name: options[name] for name in WORN if options.get(name) not in (None, False)}
 
 
 def name_sizes(garments: Sequence[str], size: Size) -> list[tuple[str, str | None]]:
-    """Each of ``garments`` with its size."""
-    each = [size] * len(garments) if size is None or isinstance(size, str) else size
-    return list(zip(garments, each, strict=True))
+    """Returns each of ``garments`` with its size, None for M; ``size`` is one for all, or a list with one for each."""
+    sizes = [size] * len(garments) if size is None or isinstance(size, str) else size
+    return list(zip(garments, sizes, strict=True))
 
 
 def motion_of(motion: Motion, body: BodyShape) -> tuple[PoseClip, dict[str, Any]]:
     """Returns the frames of ``motion``, which is a clip, poses (F, 24, 3) [rad] or quaternions (F, N, 4) of a rig, and
-    the JSON fields that go with them. Refuses NaN."""
+    the JSON fields "fps" and "betas" of the request. Refuses (``MotionError``) NaN, infinity and other shapes."""
     fps, places = body.fps, body.trans
     poses = motion.poses if isinstance(motion, MotionClip) else motion
     if isinstance(motion, MotionClip):
@@ -245,9 +254,8 @@ def _finite(key: str, array: np.ndarray) -> np.ndarray:
 
 
 def place_clip(clip: MotionClip, document: Mapping[str, Any]) -> MotionClip:
-    """Returns ``clip`` placed for the body in ``document``, so that its soles stand on the ground
-    (``place_on_ground``).
-    """
+    """Returns ``clip`` moved so that the soles of the body stand on the ground (``place_on_ground``). ``document`` has
+    the body's rest "joints" [m] and its "floor_m", the height of its soles [m]."""
     return place_on_ground(clip, np.array(document["joints"]), floor=document["floor_m"])
 
 
@@ -257,31 +265,30 @@ def read_bytes(response: httpx.Response) -> bytes:
 
 
 def read_vertices(response: httpx.Response) -> np.ndarray:
-    """World vertices [m] (F, V, 3) float32."""
+    """Returns the vertices [m] (F, V, 3) float32 of all garments in the world, one garment after the other."""
     shape = (int(response.headers["X-Drape-Frames"]), int(response.headers["X-Drape-Vertices"]), 3)
     return np.frombuffer(response.content, dtype="<f4", count=math.prod(shape)).reshape(shape)
 
 
 def read_clip_layers(response: httpx.Response) -> list[np.ndarray]:
-    """Returns the vertices [m] (F, V, 3) of each garment in the answer; a single garment has no header that counts
-    them.
-    """
+    """Returns the vertices [m] (F, V, 3) float32 of each garment in the world, the innermost first."""
     vertices = read_vertices(response)
+    # A single garment has no header that counts vertices.
     counts = [int(part.rpartition(":")[2]) for part in response.headers.get("X-Drape-Garments", "").split(",") if part]
     return np.split(vertices, np.cumsum(counts, dtype=int)[:-1], axis=1)
 
 
 def read_layout(response: httpx.Response) -> JetLayout:
-    """The layout with which a client makes vertices of a garment's jets."""
+    """Returns the layout by which a client makes vertices of a garment's jets."""
     return unpack_layout(response.content)
 
 
 def read_jets(response: httpx.Response) -> list[JetFrame]:
-    """Posed patches, frame by frame."""
+    """Returns the posed patches of each frame."""
     return split_jets(response.content)
 
 
 def read_clip(response: httpx.Response) -> MotionClip:
-    """A sample clip."""
+    """Returns a sample clip: poses (F, 24, 3) [rad] and translations (F, 3) [m]."""
     document = response.json()
     return MotionClip(np.array(document["poses"]), np.array(document["trans"]), document["fps"], document["name"])

@@ -190,8 +190,8 @@ def _avatars(client: DrapeClient, options: argparse.Namespace) -> None:
             print(f"{avatar['id']:<28} {avatar['height_m']:.2f} m, fits to {fit:.1f} mm, {kind}")
 
 
-def _told() -> Callable[[dict[str, Any]], None]:
-    """Says on standard error each frame of a job as it is there. Ctrl-C leaves the job as it is."""
+def _frame_lines() -> Callable[[dict[str, Any]], None]:
+    """A function that writes a line on standard error for each new frame of a job. Ctrl-C leaves the job as it is."""
     seen: set[int] = set()
 
     def tell(job: dict[str, Any]) -> None:
@@ -208,7 +208,8 @@ def _told() -> Callable[[dict[str, Any]], None]:
 
 
 def _progress() -> Callable[[dict[str, Any]], None]:
-    """Says on standard error where an upload is, whenever that changes. Ctrl-C cancels it."""
+    """A function that writes the state of an upload on standard error, whenever it changes. Ctrl-C cancels the
+    upload."""
     shown = ""
 
     def tell(job: dict[str, Any]) -> None:
@@ -250,7 +251,9 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
             raise InputError("--garment", expected="one with tier exact", got=str(len(worn)), cure="Drape one of them.")
         more = {} if options.job is None else {"job": options.job}
         more |= {"body": options.body, "quantised": not options.float32} if suffix == ".glb" else {}
-        exact = client.exact(worn[0], clip, betas=betas, glb=suffix == ".glb", more=more, progress=_told(), **choices)
+        exact = client.exact(
+            worn[0], clip, betas=betas, glb=suffix == ".glb", more=more, progress=_frame_lines(), **choices
+        )
     if suffix == ".glb" and options.tier == "exact":
         write_pieces(options.out, [exact])
     elif suffix == ".glb":

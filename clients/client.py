@@ -77,7 +77,8 @@ def _awaited_in_parts(
 
 
 class DrapeClient:
-    """A client of a running service. Each call waits for its answer. It may be a context manager."""
+    """A client of a running service, with the methods of ``Methods``. Each call waits for its answer. As a context
+    manager it closes its connections at the end."""
 
     def __init__(
         self, url: str = DEFAULT_URL, *, key: str | None = None, transport: httpx.BaseTransport | None = None
@@ -88,7 +89,7 @@ class DrapeClient:
 
     @property
     def reached(self) -> dict[str, Any]:
-        """The address and the key of the service, as ``DrapeStream.open`` takes them."""
+        """Returns the arguments "url" and "key" of ``DrapeStream.open`` for the same service."""
         return {"url": str(self._http.base_url), "key": self._key}
 
     def __enter__(self) -> DrapeClient:
@@ -102,9 +103,8 @@ class DrapeClient:
         self._http.close()
 
     def avatar(self, source: str | Path, *, alive: bool = False) -> Avatar:
-        """Returns the avatar with the id ``source``. If ``source`` is a GLB or VRM file, it is uploaded first, with
-        its own clothes as garments where these are to be ``alive``.
-        """
+        """Returns the avatar with the id ``source``. If ``source`` is a GLB or VRM file, it is uploaded first; with
+        ``alive`` its own clothes become garments."""
         is_file = Path(source).suffix.lower() in AVATAR_SUFFIXES
         return Avatar(self, self.upload_avatar(source, alive=alive) if is_file else str(source))
 
@@ -163,7 +163,8 @@ class DrapeClient:
 
 
 class AsyncDrapeClient:
-    """A client of a running service, as ``DrapeClient``, whose calls are awaited."""
+    """A client of a running service, with the methods of ``Methods``. Each call is awaited. As an asynchronous context
+    manager it closes its connections at the end."""
 
     def __init__(
         self, url: str = DEFAULT_URL, *, key: str | None = None, transport: httpx.AsyncBaseTransport | None = None
@@ -240,11 +241,11 @@ __all__ = ["AsyncDrapeClient", "DrapeClient", "DrapeError"]
 
 @dataclass(frozen=True)
 class Avatar:
-    """An avatar of a service, the garments that it wears, the innermost first, and their options.
+    """An avatar of a service, the garments that it wears, the innermost first, and the options of their drape.
 
-    A motion is a clip, poses of ours (F, 24, 3) [rad], the name of a sample clip, or the local rotations (F, N, 4), x,
-    y, z, w, of the nodes of its own rig in the order that ``nodes`` tells; ``trans`` [m] (F, 3) is then where the node
-    of its pelvis is.
+    A motion is a clip, SMPL poses (F, 24, 3) [rad], the name of a sample clip, or the local quaternions (F, N, 4), x,
+    y, z, w, of the nodes of its own rig in the order of ``nodes``; ``trans`` [m] (F, 3) is then where the node of its
+    pelvis is.
     """
 
     client: DrapeClient
@@ -253,38 +254,37 @@ class Avatar:
     options: dict[str, Any] = field(default_factory=dict)
 
     def wear(self, *garments: str, **options: Any) -> Avatar:
-        """Returns the same avatar in ``garments``. ``options`` are the fields of ``drape.wire.options.DrapeOptions``,
-        and ``size``.
-        """
+        """Returns the same avatar in ``garments`` instead, the innermost first. ``options`` are the fields of
+        ``drape.wire.options.DrapeOptions``, and ``size``."""
         return Avatar(self.client, self.id, garments, options)
 
     @property
     def nodes(self) -> list[str]:
-        """The names of the nodes of its file, in the order of the rotations of its rig."""
+        """Returns the names of the nodes of its file, in the order of its rig's rotations."""
         return self.client.about_avatar(self.id)["nodes"]
 
     async def stream(self) -> DrapeStream:
-        """Opens a stream of the garments on the avatar. It takes poses of ours (``send``) and of the avatar's own rig
-        (``send_rig``).
-        """
+        """Returns an open stream of the garments on the avatar. It takes SMPL poses (``send``) and poses of the
+        avatar's own rig (``send_rig``)."""
         garments = self.garments[0] if len(self.garments) == 1 else self.garments
         return await DrapeStream.open(garment=garments, avatar=self.id, **self.client.reached, **self.options)
 
     def play(self, motion: str | Motion, *, trans: np.ndarray | None = None) -> list[np.ndarray]:
-        """Drapes a motion, and returns the vertices (F, V, 3) [m] of each garment in the world."""
+        """Returns the vertices (F, V, 3) [m], float32, of each garment in the world over ``motion``."""
         clip = self.client.motion(motion, avatar=self.id) if isinstance(motion, str) else motion
         return self.client.drape_outfit(self.garments, clip, trans=trans, avatar=self.id, **self.options)
 
     def glb(self, motion: str | Motion, *, trans: np.ndarray | None = None, joints: int | None = None) -> bytes:
-        """Returns a GLB of the garments over a motion, skinned to the nodes of the avatar's own file, with morph
-        targets or with so many ``joints`` of each garment's own, in the unit of that file. It is one request, so the
-        clip may not be longer than the service takes.
+        """Returns the bytes of a GLB of the garments over ``motion``, skinned to the nodes of the avatar's own file and
+        in its unit, with morph targets, or with so many ``joints`` for each garment besides.
+
+        Refuses (``InputError``) a clip that is longer than one request may be.
         """
         clip = self.client.motion(motion, avatar=self.id) if isinstance(motion, str) else motion
         more = {"rig": True, "joints": joints, "avatar": self.id}
         return self.client.drape_glb(self.garments, clip, trans=trans, **more, **self.options)
 
     def surface(self, motion: str | Motion, *, trans: np.ndarray | None = None) -> np.ndarray:
-        """Returns the vertices (F, V, 3) [m] of the avatar's own surface over the motion."""
+        """Returns the vertices (F, V, 3) [m], float32, of the avatar's own surface in the world over ``motion``."""
         clip = self.client.motion(motion, avatar=self.id) if isinstance(motion, str) else motion
         return self.client.posed_avatar(self.id, clip, trans=trans)

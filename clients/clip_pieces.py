@@ -12,20 +12,21 @@ import numpy as np
 from clients.calls import DRAPE, Call
 
 Answer = TypeVar("Answer")
-OPTION_BYTES = 16384  # of a request, besides its frames
+OPTION_BYTES = 16384  # room in a request for all but its frames
 UNASKED = 60
 """A clip of no more frames is sent without asking the service how many it takes."""
 
 
 def most_frames(health: dict[str, Any], frame_bytes: int) -> int:
-    """The most frames, each of ``frame_bytes``, that a request to a service of this ``health`` may have."""
+    """Returns how many frames of ``frame_bytes`` each a request may have; ``health`` is what the service's /health
+    answers."""
     in_body = (int(health["max_body_bytes"]) - OPTION_BYTES) // frame_bytes
     return max(1, min(int(health["max_frames"]), in_body))
 
 
 def piece(call: Call[Answer], rows: slice, past: str | None) -> Call[tuple[Answer, str | None]]:
-    """Returns ``call`` for the frames ``rows`` of its clip, which follow the piece named ``past``. Its answer is that
-    of the frames and this piece's own name, the ``past`` of the next."""
+    """Returns a call like ``call`` for the frames ``rows`` of its clip, which follow the piece named ``past``, None at
+    the beginning. Its answer is that of the frames, and the name of this piece: the ``past`` of the next one."""
     assert call.clip is not None
     more: dict[str, Any] = {}
     if call.path == DRAPE:  # a posed body remembers nothing
@@ -39,7 +40,8 @@ def piece(call: Call[Answer], rows: slice, past: str | None) -> Call[tuple[Answe
 
 
 def joined_answers(answers: Sequence[Any]) -> Any:
-    """The answer of the whole clip from those of its pieces: arrays of frames, lists of them by garment, or frames."""
+    """Returns the answer of the whole clip from those of its pieces, which are arrays of frames, tuples or lists of
+    such arrays, or lists of frames."""
     first = answers[0]
     if isinstance(first, np.ndarray):
         return np.concatenate(answers)

@@ -20,7 +20,7 @@ PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")
 
 
 def is_local(url: str) -> bool:
-    """Whether ``url`` is one of this machine."""
+    """Returns whether ``url`` is an address of this machine."""
     try:
         name = urlsplit(url).hostname or ""
     except ValueError:
@@ -31,8 +31,10 @@ def is_local(url: str) -> bool:
 def open_client(
     kind: type[Kind], url: str, key: str | None, transport: httpx.BaseTransport | httpx.AsyncBaseTransport | None
 ) -> Kind:
-    """Returns a client for the service at ``url``. Refuses (``InputError``) text that is not an address, as ``url`` or
-    as the environment's proxy.
+    """Returns httpx's client of the class ``kind`` for the service at ``url``, with the API ``key`` in its headers.
+
+    ``transport`` takes the place of the network, None for the network. Refuses (``InputError``) a ``url`` or a proxy of
+    the environment that is no address.
     """
     try:
         base = httpx.URL(url)
@@ -58,7 +60,7 @@ def _no_proxy(error: Exception) -> InputError:
 
 
 def unreachable(url: object, error: Exception) -> Unavailable:
-    """The refusal where no answer came."""
+    """Returns the refusal for a request to ``url`` that ended in ``error`` and not in an answer."""
     reason = str(error) or type(error).__name__
     cure = "Start it (make serve), or give the address at which it runs."
     if getproxies() and not is_local(str(url)):

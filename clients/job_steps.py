@@ -1,4 +1,4 @@
-"""Jobs of a service: what they are asked until they end. A step is a call, or a pause between two."""
+"""Jobs of a service, from their start to their end, in steps. A step is a call, or a pause between two calls."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Progress = Callable[[dict[str, Any]], None]
 
 @dataclass(frozen=True)
 class Pause:
-    """A step that waits."""
+    """A step that waits so many ``seconds``."""
 
     seconds: float
 
@@ -26,11 +26,15 @@ class Pause:
 Steps = Generator[Call[Any] | Pause, Any, Answer]
 
 
-def exact_clip_steps(asked: Call[dict[str, Any]], accept: str, progress: Progress) -> Steps[Any]:
-    """Yields the steps that begin a job by ``asked``, or find the job that it names, and wait for it. Returns the
-    finished clip: vertices, or a GLB."""
-    known = asked.json.pop("job", None)
-    job = yield asked if known is None else get_call("jobs", known)
+def exact_clip_steps(start: Call[dict[str, Any]], accept: str, progress: Progress) -> Steps[Any]:
+    """Yields the steps that begin a job by the call ``start``, or find the job that its JSON names, and wait for its
+    end.
+
+    Returns the finished clip: vertices (F, V, 3) [m] in the world, or the bytes of a GLB, as ``accept`` says.
+    ``progress`` is called with each state of the job. Raises the refusal of a job that fails or is cancelled.
+    """
+    known = start.json.pop("job", None)
+    job = yield start if known is None else get_call("jobs", known)
     while job["state"] != "done":
         finished_id(job, "clip")
         progress(job)
@@ -42,8 +46,12 @@ def exact_clip_steps(asked: Call[dict[str, Any]], accept: str, progress: Progres
 
 
 def upload_steps(sent: Call[dict[str, Any]], kind: str, wait_s: float, progress: Progress) -> Steps[str]:
-    """Yields the steps that send the upload ``sent`` and wait for its job. Returns the id of the ``kind`` of thing that
-    it becomes."""
+    """Yields the steps that make the call ``sent``, an upload, and wait for its job at most ``wait_s`` [s]. Returns the
+    id of what it becomes: ``kind`` is "garment" or "avatar".
+
+    ``progress`` is called with each state of the job; an exception that it raises cancels the job. Raises the refusal
+    of a job that fails or is cancelled, and ``Unavailable`` where the time is over.
+    """
     job = yield sent
     deadline = time.monotonic() + wait_s
     while (name := finished_id(job, kind)) is None:
@@ -59,8 +67,8 @@ def upload_steps(sent: Call[dict[str, Any]], kind: str, wait_s: float, progress:
 
 
 def finished_id(job: dict[str, Any], kind: str = "garment") -> str | None:
-    """Returns the id of the garment or the avatar of a finished ``job``; None while it goes on. Raises the refusal of a
-    job that failed or was cancelled."""
+    """Returns the id of what a finished ``job`` has made, which is its field ``kind``; None while it goes on. Raises
+    the refusal of a job that failed, and ``Unavailable`` for one that was cancelled."""
     if job["state"] == "failed":
         raise problem_error(job["problem"])
     if job["state"] == "cancelled":
@@ -74,7 +82,8 @@ def finished_id(job: dict[str, Any], kind: str = "garment") -> str | None:
 
 
 def check_deadline(job: dict[str, Any], deadline: float, wait_s: float) -> None:
-    """Refuses (``Unavailable``) to wait longer for ``job`` once the clock has passed ``deadline`` [s]."""
+    """Refuses (``Unavailable``) to wait longer for ``job`` once the monotonic clock is past ``deadline`` [s],
+    ``wait_s`` [s] after the start."""
     if time.monotonic() > deadline:
         name, cure = f"upload {job['name']}", f"Ask again later: GET /jobs/{job['id']}."
         raise Unavailable(name, expected=f"an end within {wait_s:g} s", got=f"state {job['state']}", cure=cure)

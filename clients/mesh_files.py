@@ -1,4 +1,4 @@
-"""Meshes of garments as the service tells them, and the GLB of a clip that came in pieces."""
+"""Meshes of garments out of the service's JSON, and the GLB of a clip that came in pieces."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from drape.export.surface import MeshSurface, Surface
 
 
 def surface_of(document: Mapping[str, Any]) -> MeshSurface:
-    """The mesh in the answer to ``GET /garments/{id}/mesh``."""
+    """Returns the mesh in the JSON ``document`` of ``GET /garments/{id}/mesh``."""
     return MeshSurface(
         document["id"],
         len(document["vertices"]),
@@ -29,12 +29,13 @@ def surface_of(document: Mapping[str, Any]) -> MeshSurface:
 
 
 def layers(meshes: Sequence[Surface], vertices: np.ndarray) -> list[np.ndarray]:
-    """Returns ``vertices`` (F, V, 3) as one array for each garment."""
+    """Returns ``vertices`` (F, V, 3) split into those of each of ``meshes``, in their order."""
     return np.split(vertices, np.cumsum([mesh.vertex_count for mesh in meshes])[:-1], axis=1)
 
 
 def check_at_once(call: Call[bytes], most: int) -> None:
-    """Refuses a GLB with a body or on a rig of a clip that comes in pieces: the service alone has these."""
+    """Refuses (``InputError``) a GLB with a body or on a rig for a clip in pieces, of more than ``most`` frames: only
+    the service can write these."""
     assert call.clip is not None
     for name in ("body", "rig"):
         if call.json.get(name):
@@ -44,7 +45,8 @@ def check_at_once(call: Call[bytes], most: int) -> None:
 
 
 def glb_of(call: Call[bytes], meshes: Sequence[Surface], vertices: np.ndarray, roots: np.ndarray) -> bytes:
-    """The GLB that ``call`` asks for, of ``vertices`` [m] (F, V, 3), which count from the ``roots`` [m] (F, 3)."""
+    """Returns the bytes of the GLB that ``call`` asks for, of ``vertices`` [m] (F, V, 3) of all ``meshes``, relative to
+    the ``roots`` [m] (F, 3) of the frames."""
     assert call.clip is not None
     file = GlbFile()
     root_motion = RootMotion(call.clip.poses[:, 0], roots) if call.json["quantised"] else None

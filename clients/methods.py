@@ -39,56 +39,58 @@ from drape.wire.options import Resolution
 
 
 class Methods:
-    """The calls of a client. It asks the service once how many frames a request may have."""
+    """The calls of a client. The service is asked once how many frames a request may have, and longer clips go in
+    pieces."""
 
     def __init__(self) -> None:
         self._health: dict[str, Any] | None = None
 
     def health(self) -> Call[dict[str, Any]]:
-        """Returns what the service says of itself: version, model, body, provider and limits."""
+        """Returns the service's version, model, body, provider and limits by name."""
         return get_call("health")
 
     def garments(self) -> Call[list[dict[str, Any]]]:
-        """Lists the garments that can be draped. A drape names one by its ``id``."""
+        """Returns the garments that can be draped, a document for each. A drape names one by its ``id``."""
         return get_call("garments")
 
     def tiers(self) -> Call[list[dict[str, Any]]]:
-        """Lists the tiers that a drape may name, the cheapest first, each with its measured figures."""
+        """Returns the tiers that a drape may name by ``id``, the cheapest first, each with its measured figures."""
         return get_call("tiers")
 
     def avatars(self) -> Call[list[dict[str, Any]]]:
-        """Lists the avatars that can wear garments, each with its joints, fit and height."""
+        """Returns the avatars that can wear garments, each with its ``id``, joints, fit and height [m]."""
         return get_call("avatars")
 
     def about_avatar(self, avatar: str) -> Call[dict[str, Any]]:
-        """Returns one avatar: its joints and how they were found, its nodes, fit and height."""
+        """Returns the avatar with this id: its joints and how they were found, its nodes, fit and height [m]."""
         return get_call("avatars", avatar)
 
     def remove_avatar(self, avatar: str) -> Call[bytes]:
-        """Removes an avatar from the service."""
+        """Removes an avatar from the service; returns empty bytes."""
         return Call("DELETE", url_path("avatars", avatar), calls.read_bytes)
 
     def fabrics(self) -> Call[list[dict[str, Any]]]:
-        """Lists the fabrics that a drape may name, with their numbers."""
+        """Returns the fabrics that a drape may name by ``id``, each with its numbers."""
         return get_call("fabrics")
 
     def bodies(self) -> Call[list[dict[str, Any]]]:
-        """Lists the bodies of the service."""
+        """Returns the bodies of the service, each with its ``id`` and its numbers of vertices, faces and shape
+        coefficients."""
         return get_call("bodies")
 
     def motions(self) -> Call[list[dict[str, Any]]]:
-        """Lists the sample clips of the service."""
+        """Returns the sample clips of the service, each with its ``id``, name, number of frames and frames a second."""
         return get_call("motions")
 
     def motion(self, name: str, betas: np.ndarray | None = None, avatar: str | None = None) -> Call[MotionClip]:
-        """Returns a sample clip, placed on the ground for the body in the shape ``betas`` or for an avatar."""
+        """Returns the sample clip ``name`` with the soles on the ground of the body in the shape ``betas``, or of an
+        avatar. Poses are (F, 24, 3) [rad], translations (F, 3) [m]."""
         more = {} if avatar is None else {"avatar": avatar}
         return get_call("motions", name, read=calls.read_clip, betas=betas, **more)
 
     def placed(self, clip: MotionClip, betas: np.ndarray | None = None, avatar: str | None = None) -> Steps[MotionClip]:
-        """Places ``clip`` on the ground for the service's body in the shape ``betas``, or for an avatar, and returns
-        it.
-        """
+        """Returns ``clip`` moved so that the soles of the service's body in the shape ``betas``, or of an avatar, stand
+        on the ground."""
         if avatar is not None:
             found = yield get_call("avatars", avatar)
             return calls.place_clip(clip, found | {"joints": found["rest_joints"]})
@@ -96,14 +98,13 @@ class Methods:
         return calls.place_clip(clip, (yield get_call("bodies", name, betas=betas)))
 
     def measures(self, betas: np.ndarray | None = None) -> Steps[dict[str, Any]]:
-        """Returns the measures of the service's body in the shape ``betas``, and the range of each measure."""
+        """Returns the measures of the service's body in the shape ``betas`` [m, kg] by name, and the range of each."""
         name = (yield self.bodies())[0]["id"]
         return (yield get_call("bodies", name, "measures", betas=betas))
 
     def shape(self, **measures: float) -> Steps[dict[str, Any]]:
-        """Returns the likeliest ``betas`` of the service's body for ``measures``, such as ``height_m=1.7``. The answer
-        also has the measures of that shape, and by how much it misses the given ones.
-        """
+        """Returns the likeliest ``betas`` of the service's body for ``measures``, such as ``height_m=1.7``, the
+        measures of that shape, and by how much these miss the given ones."""
         name = (yield self.bodies())[0]["id"]
         return (yield post_call(measures, "bodies", name, "shapes"))
 
@@ -117,7 +118,7 @@ class Methods:
         size: str | None = None,
         vertices: bool = False,
     ) -> Call[dict[str, Any]]:
-        """Says where ``garment`` is tight or loose on a body, in words and numbers; ``pose`` is (24, 3) [rad].
+        """Returns where ``garment`` is tight or loose on a body, in words and numbers; ``pose`` is (24, 3) [rad].
 
         With ``vertices`` the answer also has the strain along warp and weft and the pressure [N/m^2] of each vertex.
         """
@@ -133,18 +134,20 @@ class Methods:
         return get_call("garments", garment, "size", betas=betas)
 
     def mesh(self, garment: str, resolution: Resolution = "delivered", size: str | None = None) -> Call[dict[str, Any]]:
-        """Returns the garment's mesh of a ``resolution`` at rest: vertices [m], faces, uv and uv_faces."""
+        """Returns the garment's mesh of a ``resolution`` at rest as lists: ``vertices`` (V, 3) [m], ``faces`` (F, 3),
+        ``uv`` (T, 2) and ``uv_faces`` (F, 3)."""
         more: dict[str, Any] = {} if size is None else {"size": size}
         return get_call("garments", garment, "mesh", resolution=resolution, **more)
 
     def preview(self, garment: str, size: int = 512) -> Call[bytes]:
-        """Returns a PNG picture of a garment at rest on its body, ``size`` pixels wide and high, 64 to 1,024."""
+        """Returns the bytes of a PNG picture of a garment at rest on its body, ``size`` pixels wide and high, 64 to
+        1,024."""
         return get_call("garments", garment, "preview.png", read=calls.read_bytes, accept="image/png", size=str(size))
 
     def jet_layout(
         self, garment: str, resolution: Resolution = "delivered", avatar: str | None = None, size: str | None = None
     ) -> Call[JetLayout]:
-        """Returns the layout that computes vertices from a garment's jets, on the garment's own mesh or a finer one.
+        """Returns the layout that makes vertices of a garment's jets, on the delivered mesh or the fine one.
 
         It is the same for all frames of a garment in one ``size`` on one ``avatar``.
         """
@@ -199,7 +202,7 @@ class Methods:
         betas: np.ndarray | None = None,
         **options: Any,
     ) -> Steps[np.ndarray]:
-        """Drapes ``garment`` and returns its vertices (F, V, 3) [m], float32, in the world.
+        """Returns the vertices (F, V, 3) [m], float32, of ``garment`` draped over ``motion``, in the world.
 
         ``motion``: a clip, or poses (F, 24, 3) [rad]. ``trans``: the root translations (F, 3) [m] of poses. ``betas``:
         the body's shape. ``options`` are the fields of ``drape.wire.options.DrapeOptions``, and also ``size`` and
@@ -217,8 +220,8 @@ class Methods:
         betas: np.ndarray | None = None,
         **options: Any,
     ) -> Steps[tuple[np.ndarray, np.ndarray]]:
-        """Drapes as ``drape`` does, and returns vertices (F, V, 3) [m], float32, that count from the root, and the
-        roots (F, 3) [m], float64.
+        """Drapes as ``drape`` does, and returns vertices (F, V, 3) [m], float32, relative to the roots, and the roots
+        (F, 3) [m], float64.
 
         Far from the world's origin the sum of both in float64 keeps the garment's shape, where ``drape`` rounds it.
         """
@@ -233,9 +236,8 @@ class Methods:
         betas: np.ndarray | None = None,
         **options: Any,
     ) -> Steps[list[np.ndarray]]:
-        """Drapes several garments worn over each other, the innermost first, and returns the vertices (F, V, 3) [m] of
-        each.
-        """
+        """Drapes several garments worn over each other, the innermost first, and returns the vertices (F, V, 3) [m],
+        float32, of each in the world."""
         return self._whole(drape_call(calls.read_clip_layers, list(garments), motion, BodyShape(trans, betas), options))
 
     def drape_frames(
@@ -248,8 +250,8 @@ class Methods:
         at_once: int = 240,
         **options: Any,
     ) -> Iterator[Steps[list[np.ndarray]]]:
-        """Drapes as ``drape_outfit`` does, and yields the vertices (f, V, 3) [m] of each garment for ``at_once`` frames
-        at a time or fewer.
+        """Drapes as ``drape_outfit`` does, and yields the vertices (f, V, 3) [m] of each garment for at most
+        ``at_once`` frames at a time.
 
         Memory holds no more frames than that, however long the clip is.
         """
@@ -266,9 +268,9 @@ class Methods:
         betas: np.ndarray | None = None,
         **options: Any,
     ) -> Steps[list[JetFrame]]:
-        """Drapes as ``drape`` does, and returns the posed patches of each frame.
+        """Drapes as ``drape`` does, and returns each frame as posed patches.
 
-        ``jet_layout(garment).vertices(frame)`` computes the vertices (V, 3) [m]. ``frame.layers(counts)`` splits the
+        ``jet_layout(garment).vertices(frame)`` makes vertices (V, 3) [m] of one. ``frame.layers(counts)`` splits the
         patches of several garments worn over each other.
         """
         asked = {**options, "geometry": "jets"}
@@ -288,7 +290,7 @@ class Methods:
         joints: int | None = None,
         **options: Any,
     ) -> Steps[bytes]:
-        """Returns an animated GLB of a garment, or of several worn over each other.
+        """Returns the bytes of an animated GLB of a garment, or of several worn over each other.
 
         With ``body`` the GLB also holds the body. With ``rig`` the garments are skinned to the nodes of the
         ``avatar``'s own file, with morph targets or with so many ``joints`` of their own. With ``quantised``
@@ -323,8 +325,8 @@ class Methods:
         progress: Progress = lambda job: None,
         **options: Any,
     ) -> Steps[Any]:
-        """Drapes in tier exact: starts a job, waits for its end, and returns vertices, or with ``glb`` an animated GLB
-        as bytes.
+        """Drapes in tier exact: starts a job, waits for its end, and returns vertices (F, V, 3) [m], float32, in the
+        world, or with ``glb`` the bytes of an animated GLB.
 
         ``progress`` is called with each state of the job; an exception that it raises ends the waiting and not the job.
         The same call with ``more={"job": id}`` goes on waiting for that job.
@@ -334,19 +336,19 @@ class Methods:
         return (yield from exact_clip_steps(asked, GLB if glb else BINARY, progress))
 
     def body_mesh(self, body: str) -> Call[dict[str, Any]]:
-        """Returns the mesh of a body at rest: vertices [m] and faces."""
+        """Returns the mesh of a body at rest as lists: ``vertices`` (V, 3) [m] and ``faces`` (F, 3)."""
         return get_call("bodies", body, "mesh")
 
     def posed_body(
         self, body: str, motion: Motion, *, trans: np.ndarray | None = None, betas: np.ndarray | None = None
     ) -> Steps[np.ndarray]:
-        """Returns the vertices (F, Vb, 3) [m], float32, of the posed body in the world."""
+        """Returns the vertices (F, V, 3) [m], float32, of the posed body in the world."""
         clip, about = calls.motion_of(motion, BodyShape(trans, betas))
         path, accept = url_path("bodies", body, "posed"), {"Accept": BINARY}
         return self._whole(Call("POST", path, calls.read_vertices, headers=accept, json=about, clip=clip))
 
     def _whole(self, call: Call[Answer]) -> Steps[Answer]:
-        """The answer to ``call``, asked for in pieces where its clip is longer than the service takes at once."""
+        """The answer to ``call``, in pieces if its clip is longer than the service takes at once."""
         answers = []
         for piece in self._pieces(call):
             answers.append((yield from piece))
@@ -358,22 +360,22 @@ class Methods:
         The steps of one piece must be taken before the next piece is asked for.
         """
         assert call.clip is not None
-        poses, frames, done, past = call.clip.poses, len(call.clip.poses), 0, None
+        poses, frames, end, past = call.clip.poses, len(call.clip.poses), 0, None
 
         def piece() -> Steps[Answer]:
-            nonlocal done, past
+            nonlocal end, past
             most = yield from self._at_once(poses)
-            rows = slice(done, min(frames, done + (most if at_once is None else min(at_once, most))))
+            rows = slice(end, min(frames, end + (most if at_once is None else min(at_once, most))))
             answer, past = yield clip_pieces.piece(call, rows, past)
-            done = rows.stop
+            end = rows.stop
             return answer
 
         yield piece()
-        while done < frames:
+        while end < frames:
             yield piece()
 
     def _at_once(self, poses: np.ndarray) -> Steps[int]:
-        """The number of ``poses`` that the service takes at once; it is asked the first time that they are many."""
+        """The number of ``poses`` that the service takes at once; it is asked once, when they are many."""
         if len(poses) <= clip_pieces.UNASKED:
             return max(1, len(poses))
         health = self._health

@@ -13,11 +13,11 @@ from drape.errors import DrapeError
 
 
 class ServiceError(DrapeError):
-    """A refusal of the service of a kind that this client does not know."""
+    """A refusal of a kind that this client does not know, or an answer that is none of the drape service."""
 
 
 def refusal(response: httpx.Response) -> DrapeError:
-    """The error that a problem document stands for."""
+    """Returns the error for the problem document in ``response``, or a ``ServiceError`` where that has none."""
     try:
         document = response.json()
         return problem_error(document)
@@ -28,9 +28,9 @@ def refusal(response: httpx.Response) -> DrapeError:
 
 
 def problem_error(document: Mapping[str, Any]) -> DrapeError:
-    """Returns the error that a problem document of the service stands for.
+    """Returns the error for a problem ``document`` of the service.
 
-    Its class is that of ``drape.errors`` which ``document`` names, or ``ServiceError`` where there is no such class.
+    Its class is the one of ``drape.errors`` that ``document`` names, or ``ServiceError`` where there is no such class.
     """
     name = str(document.get("kind") or document["type"]).rpartition(":")[2]
     known = getattr(errors, name, None)

@@ -44,19 +44,18 @@ from drape.wire.rig_pose_message import RigPose, pack_rig_pose
 
 MESSAGE_LIMIT_BYTES = 16 * 2**20
 OPEN_S = 10.0
-MOVE_S = 15.0  # in which another process must take the stream
+MOVE_S = 15.0  # another process must take the stream within it
 RETRY_S = 0.2
-HELD_S = 0.2  # that poses are answered here; a service takes a longer pause (0.25 s) for the end of a motion
-CLOSEST_S = 1.0 / 240.0  # of poses that are answered here: who sends one for each frame waits for the service
+HELD_S = 0.2  # poses are answered here for so long; a service takes a pause of 0.25 s for the end of a motion
+CLOSEST_S = 1.0 / 240.0  # poses that follow each other faster are not answered here
 GOING_AWAY = 1012  # the close code of a service that ends
-
 
 Shown = TypeVar("Shown", wire.Frame, JetFrame)
 
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """A frame and the time [s] since its pose was sent, by this machine's clock."""
+    """A frame, and the time [s] from the sending of its pose to its arrival, by this machine's clock."""
 
     frame: wire.Frame
     age_s: float
@@ -64,17 +63,18 @@ class Received:
 
 @dataclass(frozen=True, eq=False)
 class ReceivedJets:
-    """A frame of posed patches and the time [s] since its pose was sent, by this machine's clock."""
+    """A frame of posed patches, and the time [s] from the sending of its pose to its arrival, by this machine's
+    clock."""
 
     frame: JetFrame
     age_s: float
 
 
 class DrapeStream:
-    """An open stream of one garment or outfit.
+    """An open stream of a garment or an outfit.
 
-    ``about`` is the service's answer to the latest opening, ``url`` its address, ``moves`` the number of hand-overs to
-    another process.
+    ``about`` is the JSON with which the service answered the latest opening, ``url`` the address of the service, and
+    ``moves`` the number of times that another process took the stream over.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class DrapeStream:
         self._still: bytes | None = None  # the pose that changes nothing
         self._sent_s, self._asked_s = -HELD_S, 0.0  # when a pose was last sent, and given to ``send``
         self._held: deque[tuple[int, float]] = deque()  # numbers and times of poses that are answered here
-        self._more = asyncio.Event()  # there are such
+        self._more = asyncio.Event()  # set when there are some in ``_held``
         self._reading: asyncio.Future[str | bytes] | None = None
         self._state: list[bytes] = []
         self._shown: wire.Frame | JetFrame | None = None
@@ -107,11 +107,13 @@ class DrapeStream:
         clock: Callable[[], float] = time.perf_counter,
         **options: Any,
     ) -> DrapeStream:
-        """Connects and opens, with ``options`` of ``drape.wire.options.DrapeOptions``; raises the service's refusal.
+        """Returns an open stream of ``garment``, or of several, from the service at ``url``; raises the service's
+        refusal.
 
-        ``avatar``: the id of the character that wears it. ``size``: of all garments, or a list by layer. ``key``: an
-        API key or a ticket, where the service has keys.
-        ``clock``: the time [s] of the motion, with which poses are stamped and ages taken.
+        ``options`` are the fields of ``drape.wire.options.DrapeOptions``. ``betas``: the body's shape. ``avatar``: the
+        id of the character that wears the garments. ``size``: one for all garments, or a list with one for each.
+        ``key``: an API key or a ticket, where the service has keys. ``clock`` returns the time [s] of the motion, with
+        which poses are stamped and ages taken.
         """
         stream = cls(await _connected(url, key), url, key, clock)
         try:
@@ -143,10 +145,11 @@ class DrapeStream:
         size: Size = None,
         **options: Any,
     ) -> dict[str, Any]:
-        """Turns the stream to another garment, shape, ``avatar``, ``size`` or ``options``; old frames are thrown away.
+        """Opens the stream anew for other garments, shape, ``avatar``, ``size`` or ``options``, and returns the
+        service's answer (``about``); older frames are thrown away. The arguments are those of ``open``.
 
-        Several garments are worn over each other, the innermost first; ``layers`` parts their vertices. With jets
-        frames come from ``receive_jets``.
+        Several garments are worn over each other, the innermost first; ``layers`` splits their vertices. With geometry
+        jets, frames come from ``receive_jets``. Raises the service's refusal.
         """
         shape = None if betas is None else [float(beta) for beta in betas]
         about = {"betas": shape, "moves": True, "same": True, **options_document(options)}
@@ -166,22 +169,23 @@ class DrapeStream:
                 return self.about
 
     def layers(self, vertices: np.ndarray) -> list[np.ndarray]:
-        """The ``vertices`` (V, 3) of a frame by garment; all of them where there is one."""
+        """Returns the ``vertices`` (V, 3) of a frame split into those of each garment, the innermost first."""
         counts = [layer["vertices"] for layer in self.about.get("garments", ())]
         return np.split(vertices, np.cumsum(counts, dtype=int)[:-1])
 
     async def send(self, pose: np.ndarray, trans: np.ndarray | None = None) -> int:
-        """Sends a pose (24, 3) [rad] with its root translation (3,) [m]; returns its sequence number."""
+        """Sends a pose (24, 3) [rad] with its root translation (3,) [m], zero if left out; returns its sequence
+        number."""
         place = np.zeros(3) if trans is None else np.asarray(trans)
         return await self._sent(
             lambda sequence, now_s: wire.pack_pose(wire.Pose(sequence, now_s, place, np.asarray(pose)))
         )
 
     async def send_rig(self, quaternions: np.ndarray, place: np.ndarray | None = None) -> int:
-        """Sends a pose of the avatar's own rig: the local rotation (N, 4) of each of its nodes, x, y, z, w, and where
-        the node of its pelvis is (3,) [m], at rest where None; returns its sequence number.
+        """Sends a pose of the avatar's own rig and returns its sequence number: the local quaternions (N, 4), x, y, z,
+        w, of its nodes, and the ``place`` (3,) [m] of the pelvis's node, None for its rest place.
 
-        Raises ``Unavailable`` where the stream is on no avatar, or the service is too old to take it.
+        Raises ``Unavailable`` where no avatar wears the garments, or the service is too old to take such poses.
         """
         if "nodes" not in self.about:
             cure = "Open with an avatar, at a service of this release, or send poses of ours."
@@ -189,13 +193,13 @@ class DrapeStream:
         return await self._sent(lambda sequence, now_s: pack_rig_pose(RigPose(sequence, now_s, place, quaternions)))
 
     async def _sent(self, packed: Callable[[int, float], bytes]) -> int:
-        """Sends the pose that is ``packed`` with its sequence number, which is returned, and its time."""
+        """Sends the pose that ``packed`` makes a message of, with its sequence number and time; returns the number."""
         self._sequence = sequence = (self._sequence + 1) & 0xFFFFFFFF
         now_s = self._clock()
         message = packed(sequence, now_s)
         before_s, self._asked_s = self._asked_s, now_s
         # The next pose, as much later as this one was after the one before, must not come too late either.
-        if wire.posed(message) == self._still and CLOSEST_S < now_s - before_s < self._sent_s + HELD_S - now_s:
+        if wire.pose_content(message) == self._still and CLOSEST_S < now_s - before_s < self._sent_s + HELD_S - now_s:
             self._held.append((sequence, now_s))
             self._more.set()
             return sequence
@@ -207,12 +211,18 @@ class DrapeStream:
         return sequence
 
     async def receive(self) -> Received:
-        """The next frame, acknowledged."""
+        """Waits for the next frame of a stream of vertices, acknowledges it, and returns it with its age.
+
+        Raises the service's refusal, and ``ServiceError`` where the connection ends.
+        """
         frame = await self._next(wire.Frame, wire.unpack_frame)
         return Received(frame, self._clock() - frame.client_time_s)
 
     async def receive_jets(self) -> ReceivedJets:
-        """The next frame of a stream of jets, acknowledged; ``frame.layers`` parts it by garment."""
+        """Waits for the next frame of a stream of jets, acknowledges it, and returns it with its age.
+
+        ``frame.layers`` splits it into garments. Raises what ``receive`` does.
+        """
         frame = await self._next(JetFrame, unpack_jets)
         return ReceivedJets(frame, self._clock() - frame.client_time_s)
 
@@ -226,7 +236,7 @@ class DrapeStream:
         elif wire.message_kind(message) == wire.SAME and isinstance(self._shown, kind):
             self._shown = frame = replace(self._shown, **asdict(wire.unpack_same(message)))
             if frame.sequence == self._sequence and frame.sequence in self._unanswered:
-                self._still = wire.posed(self._unanswered[frame.sequence])
+                self._still = wire.pose_content(self._unanswered[frame.sequence])
             self._answered(frame.sequence)
         else:
             self._shown = frame = unpack(message)
@@ -235,7 +245,7 @@ class DrapeStream:
         return frame
 
     def _answered(self, sequence: int) -> None:
-        """Poses up to that of ``sequence`` need no answer any more."""
+        """Forgets the poses up to that of ``sequence``, which need no answer any more."""
         if sequence in self._unanswered:
             while next(iter(self._unanswered)) != sequence:
                 del self._unanswered[next(iter(self._unanswered))]
@@ -258,7 +268,7 @@ class DrapeStream:
         return None
 
     async def _transmit(self, message: str | bytes) -> None:
-        """Sends ``message``. If the service is ending it is dropped: ``_message`` reads of the end."""
+        """Sends ``message``. If the service is ending, the message is dropped, and ``_message`` handles the end."""
         async with self._sending:
             try:
                 await self._connection.send(message)
@@ -294,15 +304,15 @@ class DrapeStream:
             self._reading.add_done_callback(_seen)
         return self._reading
 
-    async def _move(self, said: dict[str, Any]) -> str:
-        """Connects to the process that ``said`` names and sends it the state; returns its answer to the opening."""
-        url = said["to"] or self.url
+    async def _move(self, document: dict[str, Any]) -> str:
+        """Connects to the process that ``document`` names and sends it the state; returns its answer to the opening."""
+        url = document["to"] or self.url
         # The ticket that opened this stream is spent; a key is as good there.
-        key = said.get("ticket", self._key) if self._key and "." in self._key else self._key
+        key = document.get("ticket", self._key) if self._key and "." in self._key else self._key
         async with self._sending:
             await self._connection.close()
             state, self._state = self._state, []
-            self._connection = await _taken(url, key)
+            self._connection = await _connected_soon(url, key)
             self.url, self._key, self.moves = url, key, self.moves + 1
             try:
                 for message in (*state, json.dumps(self._request)):
@@ -355,7 +365,7 @@ async def _connected(url: str, key: str | None) -> ClientConnection:
         raise unreachable(address, error) from error
 
 
-async def _taken(url: str, key: str | None) -> ClientConnection:
+async def _connected_soon(url: str, key: str | None) -> ClientConnection:
     """``_connected``, tried for ``MOVE_S``: the process that takes over may still load."""
     until_s = time.monotonic() + MOVE_S
     while True:

@@ -1,7 +1,7 @@
 """``python -m clients.vmc``: a sender of the Virtual Motion Capture protocol moves the person of the page.
 
-It listens to OSC packets over UDP, and gives the page on this machine each newest pose over a WebSocket on loopback.
-The service has no port more. A program of your own feeds ``drape.motion.vmc_messages.VmcPoses`` with ``osc_messages``.
+It listens to OSC packets over UDP, and sends the page on this machine each newest pose over a WebSocket on loopback;
+the service is not involved. A program of your own feeds ``drape.motion.vmc_messages.VmcPoses`` with ``osc_messages``.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from drape.errors import DrapeError, InputError
 from drape.motion.vmc_messages import VmcPoses
 
 PORT, PAGE_PORT = 39539, 39540  # the protocol's usual port, and where the page looks
-MOST_BYTES = 16 * 1024  # of a packet
-MOST_PACKETS = 5000  # a second: sixty bones in packets of their own, eighty times
+MOST_BYTES = 16 * 1024  # limit of a packet
+MOST_PACKETS = 5000  # limit a second: sixty bones in packets of their own, eighty times
 MOST_MESSAGES = 512  # in a packet
-DEEPEST = 4  # bundles within each other
-RATE_HZ = 60.0  # of poses to a page
+DEEPEST = 4  # limit of bundles within each other
+RATE_HZ = 60.0  # poses to a page a second
 MOST_PAGES = 4
 _BUNDLE = b"#bundle\0"
 
 
 def osc_messages(packet: bytes) -> list[tuple[str, list[object]]]:
-    """Address and values of the messages in an OSC packet, in bundles or alone; values are str, float and int.
+    """Returns the address and the values, str, float or int, of each message in an OSC 1.0 packet, in bundles or alone.
 
-    Raises ``InputError`` for what is none (OSC 1.0), has other types, or is too large.
+    Raises ``InputError`` for other bytes, values of other types, and a packet that is too large.
     """
     try:
         if len(packet) > MOST_BYTES:
@@ -57,7 +57,7 @@ def _messages(packet: bytes, depth: int) -> Iterator[tuple[str, list[object]]]:
     if not packet.startswith(_BUNDLE):
         yield _message(packet)
         return
-    at = len(_BUNDLE) + 8  # and a time
+    at = len(_BUNDLE) + 8  # a time of 8 bytes follows the name
     while at < len(packet):
         (size,) = struct.unpack_from(">i", packet, at)
         if not 0 < size <= len(packet) - at - 4 or depth == 0:
@@ -91,7 +91,8 @@ def _text(packet: bytes, at: int) -> tuple[str, int]:
 
 
 class Receiver(asyncio.DatagramProtocol):
-    """Takes packets into ``poses``, at most ``MOST_PACKETS`` a second; counts those ``refused``."""
+    """Receives OSC packets over UDP and puts their messages into ``poses``, at most ``MOST_PACKETS`` packets a second;
+    ``refused`` counts the others, and those that cannot be read."""
 
     def __init__(self) -> None:
         self.poses, self.refused = VmcPoses(), 0
@@ -111,16 +112,16 @@ class Receiver(asyncio.DatagramProtocol):
             self.refused += 1
 
 
-async def give(connection: ServerConnection, poses: VmcPoses) -> None:
-    """Sends a page each newest pose as JSON until it leaves: ``poses``, 72 numbers [rad], and ``pelvis``, its place in
-    lengths of the leg."""
+async def send_poses(connection: ServerConnection, poses: VmcPoses) -> None:
+    """Sends a page each newest pose until it leaves, as JSON: "poses", 72 numbers of rotation vectors [rad], and
+    "pelvis", three numbers, the place of the pelvis in lengths of the leg."""
     last = -1
     with suppress(ConnectionClosed):
         while True:
-            found = poses.pose() if poses.count != last else None
+            newest = poses.pose() if poses.count != last else None
             last = poses.count
-            if found is not None:
-                pose, pelvis = found
+            if newest is not None:
+                pose, pelvis = newest
                 document = {"poses": pose.reshape(-1).round(5).tolist(), "pelvis": pelvis.round(5).tolist()}
                 await connection.send(json.dumps(document))
             elif connection.close_code is not None:
@@ -129,26 +130,26 @@ async def give(connection: ServerConnection, poses: VmcPoses) -> None:
 
 
 def origins_of(page: str) -> list[Origin]:
-    """The origins of the page at ``page``; this machine has two names."""
+    """Returns the HTTP origins of the page at the address ``page``: two for this machine, which has two names."""
     scheme, place = urlsplit(page)[:2]
     names = {place, place.replace("127.0.0.1", "localhost"), place.replace("localhost", "127.0.0.1")}
     return [Origin(f"{scheme}://{name}") for name in sorted(names)]
 
 
 async def bridge(host: str, port: int, page_port: int, page: str) -> None:
-    """Listens for VMC packets on ``host`` and ``port`` (UDP), and gives the page at ``page`` each newest pose on
-    ``page_port`` of the loopback address.
+    """Listens for VMC packets on ``host`` and ``port`` (UDP), and serves a WebSocket on ``page_port`` of this machine
+    that sends the page at the address ``page`` each newest pose (``send_poses``).
 
-    It runs until it is cancelled. Raises ``InputError`` where a port is taken.
+    It runs until it is cancelled and prints both ports. Raises ``InputError`` where a port is taken.
     """
     loop, pages = asyncio.get_running_loop(), set[ServerConnection]()
 
     async def come(connection: ServerConnection) -> None:
-        if sum(one.close_code is None for one in pages) >= MOST_PAGES:  # a page that left counts until its next pose
+        if sum(page.close_code is None for page in pages) >= MOST_PAGES:  # a page that left counts until its next pose
             return
         pages.add(connection)
         try:
-            await give(connection, receiver.poses)
+            await send_poses(connection, receiver.poses)
         finally:
             pages.discard(connection)
 

@@ -10,9 +10,8 @@ from drape.errors import Unavailable, refusing
 
 @refusing
 def main() -> int:
-    """Runs the command line and returns its exit status.
-
-    An installation that is not whole is refused (2) before anything of it is imported.
+    """Runs the command line and returns its exit status: that of ``drape.command.main``, or 2 for an installation that
+    is not whole, which is refused before its parts are imported.
     """
     installed.check()
     try:

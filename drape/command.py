@@ -35,7 +35,7 @@ BAR_WIDTH = 30
 
 
 class _Mixed(argparse.ArgumentParser):
-    """A parser whose arguments may stand anywhere between its options, also a list of them that may be empty."""
+    """A parser whose arguments may stand anywhere between its options, even a list of arguments that may be empty."""
 
     _inside = False
 
@@ -50,7 +50,8 @@ class _Mixed(argparse.ArgumentParser):
 
 
 def parser(complete: object = None) -> argparse.ArgumentParser:
-    """The parser of all commands. ``complete`` is how a shell completes arguments that are files, in words of shtab."""
+    """Returns the parser of all commands. ``complete`` is what shtab knows of arguments that are files
+    (``shtab.FILE``)."""
     whole = argparse.ArgumentParser(prog="drape", description=__doc__.partition(": ")[2] if __doc__ else None)
     whole.add_argument("--version", action="version", version=f"drape {__version__}")
     commands = whole.add_subparsers(metavar="command", parser_class=_Mixed)
@@ -108,16 +109,17 @@ def parser(complete: object = None) -> argparse.ArgumentParser:
     completion = commands.add_parser("completion", help="print the completion of this command for a shell")
     completion.add_argument("shell", choices=SHELLS)
     completion.set_defaults(run=_completion)
-    for one in (wear, garments, avatars, tiers, doctor):
-        one.add_argument("--json", action="store_true", help="print the answer as JSON")
-    for name, (_, _, said) in ELSEWHERE.items():
-        commands.add_parser(name, help=said, add_help=False)
+    for command in (wear, garments, avatars, tiers, doctor):
+        command.add_argument("--json", action="store_true", help="print the answer as JSON")
+    for name, (_, _, words) in ELSEWHERE.items():
+        commands.add_parser(name, help=words, add_help=False)
     return whole
 
 
 @refusing
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs a command line. Returns 0 when it is done, 1 when ``doctor`` found something wrong, and 2 for a refusal."""
+    """Runs the command line ``arguments``, by default that of the process. Returns its exit status: 0 when it is done,
+    1 when ``doctor`` found something wrong, 2 for a refusal, 130 when it was interrupted."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words and words[0] in ELSEWHERE:
         return _elsewhere(words[0], words[1:])
@@ -160,10 +162,12 @@ def _wear(given: argparse.Namespace) -> int:
         from drape.garment.intake import intake_outfit
 
         garments = [
-            made
-            for one in garments
-            for made in (
-                intake_outfit(Path(one), avatar=given.modelled_on, body=opened.body) if Path(one).is_file() else [one]
+            garment
+            for name in garments
+            for garment in (
+                intake_outfit(Path(name), avatar=given.modelled_on, body=opened.body)
+                if Path(name).is_file()
+                else [name]
             )
         ]
     options = {name: value for name in ("tier", "fabric", "size") if (value := getattr(given, name)) is not None}
@@ -193,7 +197,7 @@ def _wear_frames(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> int
         "fps": clip.fps,
         "vertices": int(vertices.shape[1]),
         "tier": worn.tier,
-        "beside": [str(one) for one in beside],
+        "beside": list(map(str, beside)),
         "seconds": round(time.monotonic() - begun_s, 2),
     }
     line = "{file}: {frames} frames at {fps:g} a second, {vertices} vertices, {bytes} bytes".format(**summary)
@@ -211,10 +215,10 @@ def _wear_on_rig(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> int
     else:
         write_pieces(given.out, [worn.glb(clip, fps=clip.fps, as_recorded=True)])
     size = given.out.stat().st_size
-    told = {"file": str(given.out), "bytes": size, "frames": clip.frame_count, "beside": list(map(str, beside))}
-    told |= {"garments": [one.name for one in worn.garments], "seconds": round(time.monotonic() - begun_s, 2)}
-    names = ", ".join(told["garments"])
-    return _tell(told, given, f"{given.out}: {names} over {clip.frame_count} frames, {size} bytes")
+    summary = {"file": str(given.out), "bytes": size, "frames": clip.frame_count, "beside": list(map(str, beside))}
+    summary |= {"garments": [mesh.name for mesh in worn.garments], "seconds": round(time.monotonic() - begun_s, 2)}
+    names = ", ".join(summary["garments"])
+    return _tell(summary, given, f"{given.out}: {names} over {clip.frame_count} frames, {size} bytes")
 
 
 def _wear_on_joints(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> int:
@@ -232,14 +236,14 @@ def _wear_on_joints(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> 
     summary = {"file": str(given.out), "bytes": len(content), "joints": given.joints, "frames": clip.frame_count}
     errors = jointed.errors_mm(clip, fps=clip.fps)
     summary["garments"] = [
-        {"name": surface.name} | {name: round(value, 1) for name, value in one.items()}
-        for surface, one in zip(worn.garments, errors, strict=True)
+        {"name": surface.name} | {name: round(value, 1) for name, value in own.items()}
+        for surface, own in zip(worn.garments, errors, strict=True)
     ]
     summary["seconds"] = round(time.monotonic() - begun_s, 2)
     lines = ["{file}: {joints} joints a garment, {bytes} bytes".format(**summary)]
-    for one in summary["garments"]:
+    for row in summary["garments"]:
         line = "{name}: from its drape {tracks} mm with tracks, {springs} mm on springs, {carried} mm without either"
-        lines.append(line.format(**one))
+        lines.append(line.format(**row))
     return _tell(summary, given, "\n".join(lines))
 
 
@@ -299,9 +303,9 @@ def _tiers(given: argparse.Namespace) -> int:
 def _doctor(given: argparse.Namespace) -> int:
     from drape.doctor import findings
 
-    told, wrong = findings()
-    lines = [f"{name}: {value}" for name, value in told.items()] + [f"wrong: {one}" for one in wrong]
-    _tell(told | {"wrong": wrong}, given, "\n".join(lines))
+    facts, wrong = findings()
+    lines = [f"{name}: {value}" for name, value in facts.items()] + [f"wrong: {fault}" for fault in wrong]
+    _tell(facts | {"wrong": wrong}, given, "\n".join(lines))
     return 1 if wrong else 0
 
 
@@ -321,13 +325,14 @@ def _table(rows: Sequence[dict[str, Any]], given: argparse.Namespace) -> int:
     return _tell(list(rows), given, "\n".join(lines))
 
 
-def _tell(told: Any, given: argparse.Namespace, text: str) -> int:
-    print(json.dumps(told) if given.json else text)
+def _tell(answer: Any, given: argparse.Namespace, text: str) -> int:
+    """Prints ``answer`` as JSON if that was asked for, else ``text``."""
+    print(json.dumps(answer) if given.json else text)
     return 0
 
 
 def _progress(done: int, whole: int, begun_s: float) -> None:
-    """A bar on a terminal, with the seconds that are left."""
+    """Draws a bar on a terminal, with the seconds that are left."""
     if sys.stderr.isatty():
         filled = BAR_WIDTH * done // whole
         left_s = (time.monotonic() - begun_s) * (whole - done) / done

@@ -22,14 +22,15 @@ from drape.live.fold_step import FoldEffort, FoldMemory, fold
 from drape.live.skin_walks import NEIGHBOURS, SkinGraph
 
 SIDE, SPACING_M = 21, 0.01
-TEST_S = 0.5  # and as long again for the same frames
-HELD_N_PER_M = 100.0  # along the upper edge
+TEST_S = 0.5  # the same frames follow once more
+HELD_N_PER_M = 100.0  # stiffness that holds the upper edge
 FPS = 30.0
 PARTS = {"service": "fastapi", "inference of other models": "onnxruntime", "training and recovery": "torch"}
 
 
 def processor() -> str:
-    """The name of the processor, its level and whether it has tiles of matrices."""
+    """Returns the name of the processor, its level of x86-64 and, if it has them, "tiles" (AMX), separated by
+    commas."""
     level, tiles = processor_level()
     lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
@@ -38,7 +39,8 @@ def processor() -> str:
 
 
 def swatch() -> tuple[FoldConstants, np.ndarray]:
-    """A square of cloth that is held by its upper edge far from any skin, and its vertices [m] (V, 3)."""
+    """Returns the constants of a square of cloth that hangs by its upper edge, far from any skin, and its vertices [m]
+    (V, 3) float32."""
     x, y = (axis.reshape(-1) for axis in np.meshgrid(*[SPACING_M * np.arange(SIDE)] * 2, indexing="ij"))
     vertices = np.stack([x, y, 0.02 * np.sin(60.0 * x)], axis=1)
     corner = np.flatnonzero((np.arange(SIDE * SIDE) % SIDE < SIDE - 1) & (np.arange(SIDE * SIDE) < SIDE * (SIDE - 1)))
@@ -51,11 +53,8 @@ def swatch() -> tuple[FoldConstants, np.ndarray]:
 
 
 def folded(constants: FoldConstants, vertices: np.ndarray, frames: int, seconds: float) -> tuple[np.ndarray, int]:
-    """Returns the vertices [m] (V, 3) of the cloth after at most ``frames`` frames of folds, and how many were
-    computed.
-
-    No frame is begun after ``seconds``.
-    """
+    """Returns the vertices [m] (V, 3) of the cloth after frames of folds, and how many frames were computed: at most
+    ``frames``, and none is begun later than ``seconds`` [s] after the call."""
     skin = np.tile([10.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0], (1, 1))
     memory: FoldMemory | None = None
     out, count, end_s = vertices, 0, time.monotonic() + seconds
@@ -67,9 +66,8 @@ def folded(constants: FoldConstants, vertices: np.ndarray, frames: int, seconds:
 
 
 def packages() -> dict[str, str]:
-    """Returns for each part of the product the name and the version of the package that it rests on, or "-" where that
-    is not installed.
-    """
+    """Returns by each part of the product (``PARTS``) the name and the version of the package that it needs, or "-"
+    where that is not installed."""
     versions = {}
     for part, name in PARTS.items():
         try:
@@ -80,21 +78,20 @@ def packages() -> dict[str, str]:
 
 
 def is_free(port: int) -> bool:
-    """Whether nobody listens on ``port`` of this machine."""
+    """Returns whether nobody listens on the TCP ``port`` of this machine."""
     with socket.socket() as probe:
         return probe.connect_ex(("127.0.0.1", port)) != 0
 
 
 def can_write(folder: Path) -> bool:
-    """Whether files can be made in ``folder``; if it does not exist, whether it can be made."""
+    """Returns whether files can be made in ``folder``, or the folder itself where it does not exist."""
     there = next(path for path in (folder, *folder.parents) if path.exists())
     return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
 
 
 def findings() -> tuple[dict[str, str], list[str]]:
-    """Returns facts about the installation by their subjects, and a list of sentences on what is wrong, each with its
-    cure.
-    """
+    """Returns facts about the installation by their subjects, and a sentence with a cure for each thing that is
+    wrong."""
     wrong: list[str] = []
     forced = os.environ.get("DRAPE_ISA")
     facts = {"processor": processor()}
@@ -109,11 +106,11 @@ def findings() -> tuple[dict[str, str], list[str]]:
     if facts["port 8000"] == "taken":
         wrong.append("Somebody listens on port 8000: start with --port, or end that.")
     constants, vertices = swatch()
-    found, frames = folded(constants, vertices, sys.maxsize, TEST_S)
+    first, frames = folded(constants, vertices, sys.maxsize, TEST_S)
     again, _ = folded(constants, vertices, frames, np.inf)
-    fine = bool(np.isfinite(found).all()) and np.array_equal(found, again) and not np.array_equal(found, vertices)
-    said = "and the same again, bit for bit" if fine else "and NOT the same again"
-    facts["self-test"] = f"{frames} frames of a swatch of {len(vertices)} vertices in {TEST_S:g} s, {said}"
+    fine = bool(np.isfinite(first).all()) and np.array_equal(first, again) and not np.array_equal(first, vertices)
+    outcome = "and the same again, bit for bit" if fine else "and NOT the same again"
+    facts["self-test"] = f"{frames} frames of a swatch of {len(vertices)} vertices in {TEST_S:g} s, {outcome}"
     if not fine:
         wrong.append("The engine does not repeat itself: build or install it anew.")
     return facts, wrong

@@ -11,20 +11,20 @@ ASSETS = Path(str(files("drape"))) / "assets"
 
 
 def clone_around(package: Path) -> Path | None:
-    """The folder of the clone that the folder of a ``package`` lies in; None where it is installed by itself."""
+    """Returns the folder of the clone that the folder ``package`` lies in; None where it is installed by a wheel."""
     return package.parent if (package.parent / "pyproject.toml").is_file() else None
 
 
 def data_home() -> Path:
-    """The folder of what users make where there is no clone: ``drape`` in XDG_DATA_HOME, by default in
+    """Returns the folder for the files of users where there is no clone: ``drape`` in XDG_DATA_HOME, by default in
     ``~/.local/share``, on Windows in LOCALAPPDATA."""
     named = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_DATA_HOME", "")
     return (Path(named) if Path(named).is_absolute() else _home() / ".local" / "share") / "drape"
 
 
 def _home() -> Path:
-    """The user's home. A user whom the machine does not know has none: nothing can be written there, and what tries
-    says so."""
+    """The user's home. A user whom the machine does not know has none, and gets a folder in which nothing can be
+    written."""
     try:
         return Path.home()
     except RuntimeError:

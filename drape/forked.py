@@ -1,9 +1,9 @@
 """Work that a process shares with copies of itself, while other processors are idle: ``each``.
 
-A copy (``fork``) has all that its process has, so nothing is sent to it, and only what it made comes back. Which of
-them makes what is found as they go: whoever is free takes the next. A copy that ends makes room for another, also for
-work that is deeper inside. Only a process of one thread is copied, since locks of others would stay shut in a copy for
-ever, and none until ``may_fork`` allows it.
+A copy (``fork``) has all that its process has, so nothing is sent to it, and only its results come back. Whoever is
+free takes the next item. A copy that ends makes room for another, also for a call of ``each`` inside the work. Only a
+process of one thread is copied, since locks that other threads hold would stay shut in a copy for ever, and only once
+``may_fork`` allows it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import NamedTuple, TypeVar
 
 from drape.errors import TooLarge
 
-MOST = 4096  # entries of a queue, a pipe, which holds 64 KiB
+MOST = 4096  # entries of a queue: it is a pipe, which holds 64 KiB
 THREADS = "/proc/self/task"
 NUMBER = struct.Struct("i")
 Given = TypeVar("Given")
@@ -28,24 +28,25 @@ Made = TypeVar("Made")
 
 
 class _Pipe(NamedTuple):
-    """Where one reads, and where one writes."""
+    """The two ends of a pipe: ``out`` is read, and ``into`` is written."""
 
     out: int
     into: int
 
 
 class _Copy(NamedTuple):
-    """A copy of this process, and where it tells what it made."""
+    """A copy of this process, and the end of a pipe at which its results are read."""
 
     pid: int
-    told: int
+    results: int
 
 
 _ROOM: list[_Pipe] = []  # a pipe that holds a byte for every copy that may be made yet
 
 
 def may_fork(copies: int) -> None:
-    """Allows this process and its copies to have so many ``copies`` at a time, all together; 0 ends that."""
+    """Lets ``each`` make copies of this process, at most so many ``copies`` at a time, those of copies included; 0 lets
+    it make none."""
     while _ROOM:
         for end in _ROOM.pop():
             os.close(end)
@@ -56,17 +57,16 @@ def may_fork(copies: int) -> None:
 
 
 def end_with_parent() -> None:
-    """Has Linux kill this process when the thread that has started it ends, however it ends."""
+    """Makes Linux kill this process when the thread that has started it ends; does nothing on other systems."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
 def each(make: Callable[[Given], Made], ones: Sequence[Given]) -> list[Made]:
-    """Returns ``[make(one) for one in ones]``. Copies of this process share the work, where ``may_fork`` leaves room
-    for them.
+    """Returns ``[make(one) for one in ones]``. Copies of this process share the work, as many as ``may_fork`` allows.
 
-    Raises the first error of ``make``, and ``TooLarge`` where a copy ends before it has told what it made, as at a
-    limit of memory.
+    Raises the first error of ``make``, and ``TooLarge`` where a copy ends before its results are read, as at a limit of
+    memory.
     """
     if not _ROOM or len(ones) < 2:
         return [make(one) for one in ones]
@@ -76,32 +76,33 @@ def each(make: Callable[[Given], Made], ones: Sequence[Given]) -> list[Made]:
     os.close(queue.into)
     copies: list[_Copy] = []
     try:
-        parts = _taken(make, ones, queue.out, count, copies)
+        parts = _results(make, ones, queue.out, count, copies)
         for copy in copies:
-            parts |= _told(copy)
+            parts |= _read(copy)
     finally:
         os.close(queue.out)
         for copy in copies:
             with suppress(ProcessLookupError):
                 os.kill(copy.pid, signal.SIGKILL)
             os.waitpid(copy.pid, 0)
-            os.close(copy.told)
-    made: list[list[Made]] = []
+            os.close(copy.results)
+    results: list[list[Made]] = []
     for _, part in sorted(parts.items(), key=lambda item: item[0]):
         if isinstance(part, Exception):
             raise part
-        made.append(part)
-    return [made[number % count][number // count] for number in range(len(ones))]
+        results.append(part)
+    return [results[number % count][number // count] for number in range(len(ones))]
 
 
-def _taken(
+def _results(
     make: Callable[[Given], Made], ones: Sequence[Given], queue: int, count: int, copies: list[_Copy] | None
 ) -> dict[int, list[Made] | Exception]:
-    """What this process makes of the ``queue``, by its numbers, up to an error; ``copies`` that it makes to help."""
+    """The results of the items that this process takes from the ``queue``, by their numbers, up to an error. Copies
+    that it makes to help are added to ``copies``; None makes none."""
     results: dict[int, list[Made] | Exception] = {}
     for number in _numbers(queue):
         if copies is not None and number < count - 1 and _room():
-            copies.append(_copy(lambda: _taken(make, ones, queue, count, None)))
+            copies.append(_copy(lambda: _results(make, ones, queue, count, None)))
         try:
             results[number] = [make(one) for one in ones[number::count]]
         except Exception as error:
@@ -117,17 +118,17 @@ def _numbers(queue: int) -> Iterator[int]:
 
 
 def _room() -> bool:
-    """Whether another copy may be made; it is counted then."""
+    """Whether another copy may be made; if so, it is counted."""
     try:
         return len(os.listdir(THREADS)) == 1 and bool(os.read(_ROOM[0].out, 1))
-    except (BlockingIOError, FileNotFoundError):  # or a system that does not tell its threads
+    except (BlockingIOError, FileNotFoundError):  # the latter on a system that does not list threads
         return False
 
 
-def _copy(made: Callable[[], object]) -> _Copy:
-    """A copy of this process that tells what ``made`` returns there."""
+def _copy(work: Callable[[], object]) -> _Copy:
+    """A copy of this process that writes what ``work`` returns there into its pipe."""
     pipe, parent = _Pipe(*os.pipe()), os.getpid()
-    pid = os.fork()  # noqa: TID251  of one thread: none of BLAS' is waited for
+    pid = os.fork()  # noqa: TID251  the process has one thread, and none of BLAS
     if pid:
         os.close(pipe.into)
         return _Copy(pid, pipe.out)
@@ -135,19 +136,20 @@ def _copy(made: Callable[[], object]) -> _Copy:
     try:
         end_with_parent()
         if os.getppid() == parent:
-            told = pickle.dumps(made(), protocol=5)
+            results = pickle.dumps(work(), protocol=5)
             os.write(_ROOM[0].into, bytes(1))
             with os.fdopen(pipe.into, "wb") as into:
-                into.write(told)
+                into.write(results)
             status = 0
     finally:
-        os._exit(status)  # nothing of this process's end is the copy's
+        os._exit(status)  # a copy does not run the handlers that end this process
 
 
-def _told(copy: _Copy) -> dict[int, list | Exception]:
+def _read(copy: _Copy) -> dict[int, list | Exception]:
+    """The results of ``copy``; refuses (``TooLarge``) where it ended before them."""
     try:
-        with os.fdopen(os.dup(copy.told), "rb") as told:
-            return pickle.load(told)
+        with os.fdopen(os.dup(copy.results), "rb") as results:
+            return pickle.load(results)
     except (EOFError, pickle.UnpicklingError) as error:  # by a limit, or by the system
         expected, got = "work that fits into the limits of an intake", "a process that ended before its work"
         raise TooLarge("file", expected=expected, got=got, cure="Simplify the mesh.") from error

@@ -1,4 +1,4 @@
-"""Whether what is installed is whole, and runs on this processor. Commands ask before they import NumPy.
+"""Checks that an installation is whole and runs on this processor, before commands import NumPy.
 
 An installation that was interrupted lacks files, or has cut ones: a library that was cut ends the process when it is
 loaded. NumPy ends it on a processor that it was not built for.
@@ -27,8 +27,8 @@ def check() -> None:
 
 
 def check_processor(level: int) -> None:
-    """Refuses (``ArtifactError``) a processor of x86-64 of ``level`` 1, the first one. Processors of other kinds have
-    level 0 and pass."""
+    """Refuses (``ArtifactError``) ``level`` 1, the lowest of x86-64. Processors of other kinds have level 0 and
+    pass."""
     if level == 1:
         cure = "Use a processor of 2009 or later; an emulator may be told to be one."
         raise ArtifactError("processor", expected="x86-64 of level v2, v3 or v4", got="v1", cure=cure)
@@ -42,9 +42,9 @@ def check_whole(installed: Distribution) -> None:
     """
     broken, place = [], Path(str(installed.locate_file("")))
     for name, _, size in csv.reader((installed.read_text("RECORD") or "").splitlines()):
-        first, found = name.partition("/")[0], _size(place / name)
-        apart = not size or first == ".." or first.endswith((".pth", ".dist-info"))  # what the installer wrote
-        if not apart and found != int(size) and (found < 0 or not name.endswith(".py")):
+        first, own_size = name.partition("/")[0], _size(place / name)
+        apart = not size or first == ".." or first.endswith((".pth", ".dist-info"))  # files of the installer
+        if not apart and own_size != int(size) and (own_size < 0 or not name.endswith(".py")):
             broken.append(name)
     if broken:
         more = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
@@ -53,7 +53,7 @@ def check_whole(installed: Distribution) -> None:
 
 
 def _size(path: Path) -> int:
-    """The bytes of the file, below zero where there is none."""
+    """The size of the file [bytes], -1 where there is none."""
     try:
         return path.stat().st_size
     except OSError:

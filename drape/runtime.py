@@ -21,12 +21,15 @@ if TYPE_CHECKING:
 
 
 class RuntimeSettings(StageSettings, TierSettings, Protocol):
-    """The settings that stand in for options of a drape which a caller leaves open."""
+    """The settings ``inertia``, ``tier`` and ``folds``, which hold where a caller leaves options of a drape open."""
 
 
 class Runtime:
-    """Drapes by the model that ``engine`` has opened, on ``body`` or on characters; ``make`` calls a function that
-    takes long, and the ``lane`` of cards draws frames. Refuses (``ArtifactError``) a model of another body."""
+    """Drapes by the model of ``engine``, on ``body`` or on characters; ``worn`` are the stages of ``body``.
+
+    ``make(function, *arguments)`` calls a function that takes long. ``lane`` draws frames on graphics cards, None
+    without. Refuses (``ArtifactError``) a model of another body.
+    """
 
     def __init__(
         self,
@@ -43,14 +46,14 @@ class Runtime:
         self.worn = self.stages_on(body)
 
     def stages_on(self, body: BodyModel) -> BodyStages:
-        """The stages that drape on ``body``, which know no garment yet."""
+        """Returns new stages that drape on ``body``, without any garment."""
         keep_skins(body, self._make)
         setup = StageSetup(self.engine, body, self._settings, self._make, self.lane)
         return BodyStages(body, make_stages(setup), self._make)
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """The stages of the standard body."""
+        """Returns the stages of the standard body, in their order."""
         return self.worn.stages
 
     def on(self, scene: Scene) -> BodyStages:
@@ -59,28 +62,29 @@ class Runtime:
         return worn if isinstance(worn, BodyStages) else self.worn
 
     def plan(self, scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
-        """Returns ``make_plan`` with the stages of the body that wears ``scene``, and the passes and folds of its
-        tier.
+        """Returns the plan for ``scene`` under ``options``, with the numbers of its tier filled in, on the body that
+        wears ``scene``. With ``messages`` its frames become messages of the wire.
+
+        Refuses (``InputError``) what the model cannot do.
         """
-        asked = chosen(options, self.tiers, self._settings, self.engine.pass_count)
-        return make_plan(self.on(scene).stages, scene, asked, messages=messages)
+        filled = chosen(options, self.tiers, self._settings, self.engine.pass_count)
+        return make_plan(self.on(scene).stages, scene, filled, messages=messages)
 
     def tier_of(self, plan: Plan) -> str:
-        """The name of the tier that ``plan`` is, or "custom"."""
+        """Returns the name of the tier that has the numbers of ``plan``; "custom" if none has."""
         return tier_of(plan.options, self.tiers, self.engine.pass_count)
 
     @property
     def step_count(self) -> int:
-        """The number of plans that ``steps`` gives."""
+        """Returns the number of plans that ``steps`` returns."""
         return 2 + sum(tier.folds > 0 for tier in self.tiers)
 
     def steps(self, plan: Plan) -> tuple[Plan, ...]:
-        """Returns the plans that a stream of ``plan`` is held to while it steps down, the one that computes least
-        first.
+        """Returns the plans to which a stream of ``plan`` can step down under load, the one that computes least first.
 
-        The third and later ones are the tiers with folds, the least first, each cut down to what ``plan`` computes. The
-        second is the least of these without what it can spare (``tiers.spared``), if the scene is a single garment,
-        since layers need each other. The first is the second without steps of folds.
+        From the third on they are the tiers with folds, each lowered to what ``plan`` computes. The second is the third
+        without cloth contact (``tiers.spared``), if the scene is a single garment: layers need the contact. The first
+        is the second without steps of folds.
         """
         stages = self.on(plan.scene).stages
         held = [capped(plan.options, tier) for tier in self.tiers if tier.folds]
@@ -96,13 +100,13 @@ class Runtime:
         return (replace(steps[0], stepped=True, carried=True) if carried else steps[0], *steps)
 
     def add_missing(self, plan: Plan) -> None:
-        """Gives the stages the garments that ``plan`` drapes and they do not know yet."""
+        """Adds to the stages the garments of ``plan`` that they do not know yet."""
         worn = self.on(plan.scene)
         for garment in worn.missing(plan.known):
             worn.add(garment, worn.feed(garment))
 
     def ready(self, plan: Plan) -> None:
-        """Makes all that the frames of ``plan`` need."""
+        """Adds the missing garments of ``plan``, and makes all constants that its frames need."""
         self.add_missing(plan)
         for stage in plan.stages:
             stage.prepare(plan)

@@ -1,4 +1,4 @@
-"""Garments over a motion, with the character that wears them, as files of programs that know no rig of ours.
+"""Garments over a motion, with the character that wears them, as files for programs that do not know our rigs.
 
 shirt = drape.load().wear("tshirt", on="me.vrm", alive=True)
 Path("walking.usdz").write_bytes(drape.usd(shirt, "walk"))
@@ -27,15 +27,15 @@ FPS = 30.0
 
 
 def usd(worn: Worn, motion: Motion, *, fps: float = FPS) -> bytes:
-    """Returns the ``scene`` over ``motion`` as a .usdz with its pictures; raises ``Unavailable`` without usd-core."""
+    """Returns the bytes of a .usdz of the ``scene`` over ``motion``, pictures included; raises ``Unavailable`` without
+    usd-core."""
     check_usd()
     return usd_file(scene(worn, motion, fps=fps), fps, ".usdz")
 
 
 def vat(worn: Worn, motion: Motion, *, name: str = "clip", fps: float = FPS) -> dict[str, bytes]:
-    """Returns the ``scene`` over ``motion`` as a vertex animation texture: three files by their names, which begin with
-    ``name`` (``drape.export.vat``). Raises ``Unavailable`` without OpenEXR.
-    """
+    """Returns the ``scene`` over ``motion`` as a vertex animation texture (``drape.export.vat``): the bytes of three
+    files by their names, which begin with ``name``. Raises ``Unavailable`` without OpenEXR."""
     check_vat()
     return vat_files(scene(worn, motion, fps=fps), fps, name)
 
@@ -55,4 +55,4 @@ def scene(worn: Worn, motion: Motion, *, fps: float = FPS, as_recorded: bool = F
     wearer, rig = worn.on_rig()
     on_rig = rig_motion(RigClip(*wearer.to_rig(clip.poses, clip.trans), clip.fps), wearer, rig.skeleton)
     parts = moving_character(worn.character_file, on_rig, wearer.scale)
-    return [*keep_below(parts, [(one.vertices, one.faces) for one in worn.layers], layers), *layers]
+    return [*keep_below(parts, [(layer.vertices, layer.faces) for layer in worn.layers], layers), *layers]

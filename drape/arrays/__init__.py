@@ -48,7 +48,7 @@ def like(reference: Array, value: Any) -> Array:
 
 
 def count_of(rows: Array, dtype: Any) -> Array:
-    """The number of ``rows`` (n,) as an array () of ``dtype``, made where they are.
+    """Returns the number of ``rows`` (n,) as an array () of ``dtype`` on their device.
 
     A length read off a shape is a number of the host: in a graph on a GPU each product with it waits for a copy, and
     such a graph cannot be captured.
@@ -58,10 +58,9 @@ def count_of(rows: Array, dtype: Any) -> Array:
 
 
 def identity3(reference: Array) -> Array:
-    """The 3x3 identity (..., 3, 3) in the dtype of ``reference`` (...).
+    """Returns identity matrices (..., 3, 3) in the dtype and on the device of ``reference`` (...).
 
-    Stacked from ones and zeros: array-api-compat's torch ``eye`` fills in place,
-    which ONNX export refuses.
+    Stacked from ones and zeros: array-api-compat's torch ``eye`` fills in place, which ONNX export refuses.
     """
     xp = namespace(reference)
     unity = xp.ones_like(reference)

@@ -45,8 +45,8 @@ class _Flushed(ContextDecorator):
 
 
 def flushed() -> _Flushed:
-    """A context, or a decorator, in which this thread, and threads that it starts, compute with zero in place of
-    subnormal numbers.
+    """Returns a context, which is also a decorator, in which this thread, and threads that it starts, compute with zero
+    in place of subnormal numbers.
 
     It does nothing on systems other than Linux on x86-64 and arm64: there the same work is slower, and differs by
     numbers below 1.2e-38.

@@ -35,14 +35,17 @@ class _Tensor:
 
 
 def tensor(name: str, *shape: str | int, dtype: str = "float32", unit: str = "1", part: str = "") -> Any:
-    """A field of a group: the tensor ``name`` of a graph. Axes of ``shape`` that are names are symbolic, or bound by
-    ``specs``. A tensor with a ``part`` belongs to networks with that part, and is None for others."""
+    """Returns a field of a group that declares the tensor ``name`` of a graph.
+
+    ``shape`` has a length or a name for each axis; a named axis has any length. A tensor with a ``part`` belongs to
+    networks with that part, and is None for others.
+    """
     return _field(_Tensor(TensorSpec(name, shape, dtype, unit), part))
 
 
 def group(kind: type[Tensors], *, part: str = "", **axes: str) -> Any:
-    """Returns a field of a group that is itself a group, of the class ``kind``. ``axes`` gives the names that its axes
-    have here."""
+    """Returns a field of a group that holds another group, of the class ``kind``. ``axes`` gives new names to axes of
+    ``kind``: ``old="new"``. A group with a ``part`` belongs to networks with that part, and is None for others."""
     return _field(_Group(kind, axes, part))
 
 
@@ -51,11 +54,12 @@ def _field(declared: _Tensor | _Group) -> Any:
 
 
 class Tensors:
-    """The base of every group; its subclasses are frozen dataclasses."""
+    """Base of the groups: frozen dataclasses whose fields ``tensor`` and ``group`` declare."""
 
     @classmethod
     def specs(cls, parts: tuple[str, ...] = (), **sizes: int) -> tuple[TensorSpec, ...]:
-        """The tensors of a network with ``parts``, in order: those of every network, then those of each part.
+        """Returns the declared tensors of a network with ``parts``: those of every network first, then those of each
+        part.
 
         Axes named in ``sizes`` have that length.
         """
@@ -65,7 +69,8 @@ class Tensors:
 
     @classmethod
     def from_flat(cls, arrays: Mapping[str, Array]) -> Self:
-        """The group made of ``arrays`` by name; a tensor of a part is None where ``arrays`` lack it.
+        """Returns the group of ``arrays`` by the names of their tensors; a tensor of a part is None where ``arrays``
+        lack it.
 
         Raises ``KeyError`` where a tensor of every network is missing.
         """
@@ -79,7 +84,7 @@ class Tensors:
         return cast(Any, cls)(**values)
 
     def flat(self) -> dict[str, Array]:
-        """The tensors by name, without those that are None."""
+        """Returns the arrays of the group by the names of their tensors, without those that are None."""
         arrays: dict[str, Array] = {}
         for item, value in self._values():
             declared = item.metadata[_DECLARED]
@@ -87,7 +92,7 @@ class Tensors:
         return arrays
 
     def each(self, change: Callable[[Array], Array]) -> Self:
-        """The same group with ``change`` applied to every tensor."""
+        """Returns a group with the results of ``change`` for each of this group's arrays."""
         values = {
             item.name: value.each(change) if isinstance(value, Tensors) else change(value)
             for item, value in self._values()

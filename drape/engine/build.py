@@ -37,7 +37,8 @@ TESTED = (*UNITS, "emulation", *LAWS)  # of the library that only tests load
 
 
 class Target(NamedTuple):
-    """A processor and system: the ``name`` of the library's file, the compiler's ``triple`` and ``processor``."""
+    """What a library is compiled for: the ``name`` of its file without the suffix, Clang's ``triple`` of the system,
+    and the ``processor`` as Clang's ``-mcpu`` names it."""
 
     name: str
     triple: str
@@ -45,7 +46,7 @@ class Target(NamedTuple):
 
     @property
     def suffix(self) -> str:
-        """The end of a library's name on that system."""
+        """Returns the suffix of a library's file on that system, such as ".so"."""
         ends = {"windows": ".dll", "macos": ".dylib", "wasm32": ".wasm"}
         return next((end for system, end in ends.items() if system in self.triple), ".so")
 
@@ -80,13 +81,15 @@ WEB_LINKED = [
 
 
 def cache_folder() -> Path:
-    """Where the compiler and what it has compiled are kept."""
+    """Returns the folder of the compiler and of what it has compiled: ``DRAPE_CACHE``, or else ``drape`` in the user's
+    caches."""
     caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return Path(os.environ.get("DRAPE_CACHE") or caches / "drape")
 
 
 def compiler() -> list[str]:
-    """The command of the compiler, which is installed the first time: a download of 93 MB."""
+    """Returns the first words of the compiler's command; arguments follow them. The first call installs the compiler: a
+    download of 93 MB."""
     try:
         import ziglang  # type: ignore[import-not-found]  # in the environment of a wheel's build
 
@@ -108,20 +111,19 @@ def compiler() -> list[str]:
 
 
 def host() -> str:
-    """The name of this machine's system in ``TARGETS``."""
+    """Returns this machine's system as ``TARGETS`` names it, such as "linux-x86_64". One that no library is made for
+    gets a name that ``TARGETS`` lacks."""
     system = {"Darwin": "macos"}.get(platform.system(), platform.system().lower())
     machine = {"AMD64": "x86_64"}.get(platform.machine(), platform.machine())
     return f"{system}-{machine}"
 
 
-def build(
-    target: Target, folder: Path, *, tests: bool = False, sanitize: bool = False, jobs: int = os.cpu_count() or 1
-) -> Path:
+def build(target: Target, folder: Path, *, tests: bool = False, sanitize: bool = False) -> Path:
     """Compiles the library of ``target`` into ``folder`` and returns its path; a library that was compiled from the
     same sources in the same way is left as it is.
 
     ``tests``: with the functions that only tests call. ``sanitize``: with checks of memory and of what C++ leaves
-    undefined. ``jobs``: compilers that run side by side.
+    undefined. A compiler runs on each processor. Raises ``CalledProcessError`` where one fails.
     """
     library = folder / (target.name + ("-tests" if tests else "") + target.suffix)
     made_from = sources_hash(target, tests, sanitize)
@@ -141,50 +143,54 @@ def build(
         command = [*zig, "c++", *common, "-c", str(SOURCE / f"{unit}.cpp"), "-o", str(to)]
         subprocess.run(command, check=True, env=environment)
 
-    with ThreadPoolExecutor(jobs) as pool:
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(compiled, units, objects))
-    made = library.with_suffix(".new")  # moved into place whole: another process may have the old one open
-    subprocess.run([*zig, "c++", *common, *linked, *map(str, objects), "-o", str(made)], check=True, env=environment)
-    made.replace(library)
-    _told_of(library).write_text(made_from)
-    for each in objects:
-        each.unlink()
+    linked_file = library.with_suffix(".new")  # moved into place whole: another process may have the old one open
+    command = [*zig, "c++", *common, *linked, *map(str, objects), "-o", str(linked_file)]
+    subprocess.run(command, check=True, env=environment)
+    linked_file.replace(library)
+    _hash_file(library).write_text(made_from)
+    for path in objects:
+        path.unlink()
     print(f"engine: {library.name} in {time.monotonic() - begin:.1f} s", flush=True)
     return library
 
 
 def build_probe(system: str, folder: Path) -> Path:
-    """Compiles the library that tells what a processor has; only processors of x86-64 differ."""
+    """Compiles ``probe.cpp`` for ``system``, a key of ``TARGETS``, into ``folder`` and returns the library's path. It
+    tells the level of an x86-64 processor, and runs on the oldest one."""
     target = TARGETS[system][0]._replace(name="probe", processor="baseline")
     probe, made_from = folder / f"probe{target.suffix}", sources_hash(target)
     if not is_made_from(probe, made_from):
         command = [*compiler(), "c++", *FLAGS, *_aimed(target), *LINKED, str(SOURCE / "probe.cpp"), "-o", str(probe)]
         subprocess.run(command, check=True)
-        _told_of(probe).write_text(made_from)
+        _hash_file(probe).write_text(made_from)
     return probe
 
 
-def build_here(folder: Path = LIBRARIES, *, tests: bool = False, sanitize: bool = False) -> None:
-    """Compiles the library for this processor into ``folder``, or for the lower level that ``DRAPE_ISA`` names.
+def build_here(*, tests: bool = False, sanitize: bool = False) -> None:
+    """Compiles the library for this processor into ``LIBRARIES``, or for the lower level that ``DRAPE_ISA`` names.
 
-    Ends the program with a sentence on a processor that is too old.
+    ``tests``: also the library that only tests load. ``sanitize``: as for ``build``. Ends the program with a sentence
+    where the processor or the C library is too old.
     """
     if platform.system() == "Linux" and platform.libc_ver()[0] != "glibc":
         cure = "use a system with it, as Debian or Ubuntu and their images"
         raise SystemExit(f"engine: expected Linux with glibc 2.17 or later, got another C library (musl?); {cure}")
-    folder.mkdir(parents=True, exist_ok=True)
-    level = ctypes.CDLL(str(build_probe(host(), folder))).drape_processor() % 16
+    LIBRARIES.mkdir(parents=True, exist_ok=True)
+    level = ctypes.CDLL(str(build_probe(host(), LIBRARIES))).drape_processor() % 16
     if "x86_64" in host() and level < 2:
         raise SystemExit(f"engine: expected a processor of x86-64-v2 or later, got v{level}; use one of 2009 or later")
     forced = os.environ.get("DRAPE_ISA", "")
     named = [target for target in TARGETS[host()] if forced and target.name.endswith(f"-{forced}")]
     target = named[0] if named else TARGETS[host()][max(level - 2, 0)]
     for what in (False, True)[: 1 + tests]:
-        build(target, folder, tests=what, sanitize=sanitize)
+        build(target, LIBRARIES, tests=what, sanitize=sanitize)
 
 
 def build_system(system: str, folder: Path) -> None:
-    """Compiles what a wheel for ``system`` carries into ``folder``."""
+    """Compiles the libraries of a wheel for ``system`` into ``folder``: the probe, and one for each level of
+    processors."""
     folder.mkdir(parents=True, exist_ok=True)
     build_probe(system, folder)
     for target in TARGETS[system]:
@@ -210,7 +216,8 @@ def write_header() -> None:
 
 
 def sources_hash(target: Target, tests: bool = False, sanitize: bool = False) -> str:
-    """Hash, hexadecimal, of what a library of ``target`` is made from: the sources, this file, and how."""
+    """Returns the SHA-256, in hexadecimal digits, of all that decides what a library of ``target`` is: the sources,
+    this file, the target and the two flags. Writes the header of records first."""
     write_header()
     digest = hashlib.sha256(repr((target, tests, sanitize)).encode())
     for source in (*sorted(SOURCE.glob("*.[ch]*")), Path(__file__)):
@@ -219,18 +226,18 @@ def sources_hash(target: Target, tests: bool = False, sanitize: bool = False) ->
 
 
 def is_made_from(library: Path, sources: str) -> bool:
-    """Returns whether ``library`` exists and was compiled from what has the hash ``sources``."""
-    told = _told_of(library)
-    return library.is_file() and told.is_file() and told.read_text() == sources
+    """Returns whether ``library`` exists and was compiled from sources whose ``sources_hash`` is ``sources``."""
+    hash_file = _hash_file(library)
+    return library.is_file() and hash_file.is_file() and hash_file.read_text() == sources
 
 
-def _told_of(library: Path) -> Path:
+def _hash_file(library: Path) -> Path:
     """The file beside ``library`` that has the hash of its sources. Times say less: a checkout changes them."""
     return library.with_name(f"{library.name}.sources")
 
 
 def main() -> None:
-    """The command."""
+    """Compiles what the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tests", action="store_true", help="the library that only tests load as well")
     parser.add_argument("--system", action="store_true", help="every level of processors of this system")

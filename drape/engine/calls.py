@@ -32,8 +32,8 @@ _ROOM = _Room()
 
 
 def call(name: str, dtype: Any, *given: Any) -> int:
-    """Calls the engine's function ``name`` for numbers of ``dtype`` with ``given`` arrays, records and numbers. Returns
-    the whole number that it returns.
+    """Calls the engine's function ``name`` for numbers of ``dtype``, float32 or float64, with ``given`` arrays, records
+    and numbers. Returns the whole number that it returns.
 
     Raises ``TypeError`` for an array of floats of another type, or that is not contiguous: that is a mistake of ours.
     """
@@ -66,13 +66,13 @@ def _function(name: str, dtype: np.dtype) -> Callable[..., int]:
     return function
 
 
-def _argument(one: Any, dtype: np.dtype) -> Any:
-    if isinstance(one, np.ndarray):
-        if one.dtype.kind == "f" and one.dtype != dtype:
-            raise TypeError(f"expected {dtype}, got {one.dtype}")
-        return ctypes.c_void_p(address_of(one))
-    if isinstance(one, Record):
-        return ctypes.c_void_p(one.address)
-    if isinstance(one, Recorded):
-        return ctypes.c_void_p(one.record.address)
-    return ctypes.c_int64(int(one)) if isinstance(one, bool | int | np.integer) else ctypes.c_double(one)
+def _argument(value: Any, dtype: np.dtype) -> Any:
+    if isinstance(value, np.ndarray):
+        if value.dtype.kind == "f" and value.dtype != dtype:
+            raise TypeError(f"expected {dtype}, got {value.dtype}")
+        return ctypes.c_void_p(address_of(value))
+    if isinstance(value, Record):
+        return ctypes.c_void_p(value.address)
+    if isinstance(value, Recorded):
+        return ctypes.c_void_p(value.record.address)
+    return ctypes.c_int64(int(value)) if isinstance(value, bool | int | np.integer) else ctypes.c_double(value)

@@ -35,7 +35,8 @@ GROUPS_A_CORE = 2  # of threads that a core holds at once, with the registers th
 
 
 def kernels() -> Path | None:
-    """Where the compiled kernels are: in the wheel of the extra ``cuda``, or where this file's command writes them."""
+    """Returns the file of the compiled kernels: that of the wheel of the extra ``cuda``, or else the one that this
+    module's command writes; None if there is neither."""
     found = importlib.util.find_spec(PACKAGE)
     folders = list(found.submodule_search_locations or ()) if found else []
     paths = [*(Path(folder) / KERNELS.name for folder in folders), KERNELS]
@@ -43,7 +44,7 @@ def kernels() -> Path | None:
 
 
 def count_cards(driver: str = DRIVER) -> int:
-    """The number of cards that the ``driver`` finds; 0 without one."""
+    """Returns how many cards the library ``driver`` finds; 0 where there is no such library or it fails."""
     try:
         calls = ctypes.CDLL(driver)
     except OSError:
@@ -53,11 +54,12 @@ def count_cards(driver: str = DRIVER) -> int:
 
 
 class Card:
-    """One NVIDIA card of this machine, ``number`` among them, which holds so many ``groups`` of threads at once.
-    A thread calls ``enter`` before anything else.
+    """One opened NVIDIA card: its memory, and launches of the kernel in the file ``path``.
 
+    ``number`` counts the cards of this machine from 0, and ``driver`` is NVIDIA's library. ``name`` is the card's, and
+    ``groups`` is how many groups of threads it runs at once. A thread calls ``enter`` before it calls anything else.
     Raises ``Unavailable`` where there is no driver or an old one, no card or an old one, too little free memory, or
-    kernels of another engine; ``OSError`` where the driver tells a fault.
+    kernels of another engine. Every method raises ``OSError`` where the driver reports a fault.
     """
 
     def __init__(self, path: Path, *, number: int = 0, driver: str = DRIVER) -> None:
@@ -92,7 +94,7 @@ class Card:
 
     def _loaded(self, path: Path) -> ctypes.c_void_p:
         """The function of the kernel in ``path``."""
-        module, found = ctypes.c_void_p(), ctypes.c_void_p()
+        module, kernel = ctypes.c_void_p(), ctypes.c_void_p()
         image = path.read_bytes()
         try:
             self._do("cuModuleLoadData", ctypes.byref(module), image)
@@ -103,45 +105,50 @@ class Card:
         self.read(address.value, own)
         if int(own[0]) != HASH:
             raise _missing(f"kernels of this engine, {HASH:016x}", f"{path} of {int(own[0]):016x}")
-        self._do("cuModuleGetFunction", ctypes.byref(found), module, b"drape_frames")
-        return found
+        self._do("cuModuleGetFunction", ctypes.byref(kernel), module, b"drape_frames")
+        return kernel
 
     def enter(self) -> None:
-        """Lets the thread that calls use the card."""
+        """Makes the card that of the calling thread."""
         self._do("cuCtxSetCurrent", self._context)
 
     @property
     def free_bytes(self) -> int:
-        """Memory that nobody has taken."""
+        """Returns the card's free memory [bytes], as the driver tells it."""
         free, whole = ctypes.c_size_t(), ctypes.c_size_t()
         self._do("cuMemGetInfo_v2", ctypes.byref(free), ctypes.byref(whole))
         return free.value
 
     def take(self, size: int) -> int:
-        """Takes ``size`` bytes and returns their address."""
+        """Takes ``size`` bytes of the card's memory and returns their address."""
         address = ctypes.c_uint64()
         self._do("cuMemAlloc_v2", ctypes.byref(address), ctypes.c_size_t(max(size, 1)))
         return address.value
 
     def write(self, address: int, numbers: np.ndarray) -> None:
-        """Writes the array ``numbers`` to ``address``."""
+        """Copies the array ``numbers`` into the card's memory, to ``address``."""
         given = ctypes.c_void_p(address_of(numbers)), ctypes.c_size_t(numbers.nbytes)
         self._do("cuMemcpyHtoD_v2", ctypes.c_uint64(address), *given)
 
     def read(self, address: int, numbers: np.ndarray) -> None:
-        """Fills the array ``numbers`` with what is at ``address``, once all launches are through."""
+        """Fills the array ``numbers`` from the card's memory at ``address``, once all launches are through."""
         given = ctypes.c_uint64(address), ctypes.c_size_t(numbers.nbytes)
         self._do("cuMemcpyDtoH_v2", ctypes.c_void_p(address_of(numbers)), *given)
 
     def frames(self, tasks: int, count: int, groups: int, threads: int) -> None:
-        """Begins a launch of so many ``groups`` of ``threads``, which share the ``count`` frames of ``tasks``."""
+        """Begins a launch and does not wait for its end: ``groups`` groups of ``threads`` threads share ``count``
+        frames.
+
+        The frames' tasks, (count, ``card_jobs.TASK``) uint64, lie on the card at the address ``tasks``.
+        """
         given = ctypes.c_uint64(tasks), ctypes.c_int64(count)
-        each = (ctypes.c_void_p * len(given))(*map(ctypes.addressof, given))
-        sizes = (ctypes.c_uint(one) for one in (groups, 1, 1, threads, 1, 1, 0))
-        self._do("cuLaunchKernel", self._frames, *sizes, None, each, None)
+        pointers = (ctypes.c_void_p * len(given))(*map(ctypes.addressof, given))
+        sizes = (ctypes.c_uint(size) for size in (groups, 1, 1, threads, 1, 1, 0))
+        self._do("cuLaunchKernel", self._frames, *sizes, None, pointers, None)
 
     def timed(self, tasks: int, count: int, groups: int, threads: int, *, rounds: int) -> float:
-        """Makes such a launch ``rounds`` times; the time that it took [ms]."""
+        """Makes the launch of ``frames`` ``rounds`` times, and returns the time of all together [ms] by the card's
+        clock."""
         begin, end = ctypes.c_void_p(), ctypes.c_void_p()
         for event in (begin, end):
             self._do("cuEventCreate", ctypes.byref(event), 0)
@@ -178,8 +185,11 @@ def _cuda(version: int) -> str:
 
 
 def build_kernels(path: Path = KERNELS, *, architectures: Sequence[int] = ARCHITECTURES) -> str:
-    """Compiles the kernels for cards of these ``architectures`` into ``path``. Returns what the compiler tells of
-    registers and memory. Raises ``FileNotFoundError`` without ``nvcc``, ``OSError`` where it fails."""
+    """Compiles the kernels into the file ``path``, for cards of the ``architectures``: compute capabilities times ten.
+
+    Returns the compiler's text on the registers and the memory of each kernel. Raises ``FileNotFoundError`` without
+    ``nvcc``, ``OSError`` where it fails.
+    """
     nvcc = shutil.which("nvcc")
     if nvcc is None:
         raise FileNotFoundError("nvcc: expected CUDA's compiler on PATH, got none; install CUDA 13.0 or later")

@@ -15,56 +15,62 @@ import numpy as np
 from drape.engine.card_frames import CardRecord, Pool, Ranges, piece_bytes
 from drape.engine.packer import Record, address_of
 
-FRAME_SCRATCH_BYTES = 32 << 20  # of a group of threads
-TASK = 5  # words of a task: the row, where the frame tells, scratch and its size, and the frames of its chain
-TOLD = 17  # numbers of 64 bits that a frame tells of a garment, the last of which is what the engine's function returns
+FRAME_SCRATCH_BYTES = 32 << 20  # each group of threads has its own
+TASK = 5  # words of a task: addresses of the row, the outcome and scratch, the size of scratch, frames of the chain
+TOLD = 17  # words of the outcome of a frame's layer; the last one is what the engine's function returns
 
 
 class FrameTemplate:
-    """The row of a frame before it has a place and numbers.
+    """The row of a frame, with addresses that are relative to where the row and the frame's memory will lie.
 
-    ``call`` is a ``FrameCall``; its parts lie in the row but for those that are ``placed`` on the card. ``pieces`` are
-    arrays uint8 of this machine that stand for memory which each frame has for itself. ``numbers`` (n,) uint64 are the
-    frame's own, at the end of the row.
+    ``call`` is a ``FrameCall``. The records that it points to lie in the row, but for those that are ``placed`` on the
+    card. ``pieces`` are uint8 arrays of this machine; each stands for a piece of the card's memory that every frame has
+    for itself. ``numbers`` (n,) uint64 end the row, and every frame has its own. ``starts`` are the indices of the
+    words at which the call, its layers, each part and the numbers begin in the row.
     """
 
     def __init__(
         self, call: Record, numbers: np.ndarray, pieces: Sequence[np.ndarray], placed: Sequence[CardRecord]
     ) -> None:
-        there = {one.flat.record.address for one in placed}
-        inner = (one for one in call.arrays if one.dtype == np.uint64 and one is not numbers)
-        parts = [call.words, *inner, *(one.words for one in call.parts if one.address not in there), numbers]
+        there = {record.flat.record.address for record in placed}
+        inner = (array for array in call.arrays if array.dtype == np.uint64 and array is not numbers)
+        parts = [call.words, *inner, *(part.words for part in call.parts if part.address not in there), numbers]
         begins = np.cumsum([0, *(part.nbytes for part in parts)]).tolist()
-        self.starts = [begin // 8 for begin in begins[:-1]]  # of the call, its layers, each part, and the numbers
+        self.starts = [begin // 8 for begin in begins[:-1]]
         self.words = np.concatenate(parts)
-        kept = [(address_of(part), part.nbytes, 0, begin) for part, begin in zip(parts, begins, strict=False)]
-        kept += [(address_of(one), one.nbytes, number, 0) for number, one in enumerate(pieces, 1) if one.size]
-        kept += [
-            (one.flat.record.address, one.flat.words.nbytes, len(pieces) + number, 0)
-            for number, one in enumerate(placed, 1)
+        ranges = [(address_of(part), part.nbytes, 0, begin) for part, begin in zip(parts, begins, strict=False)]
+        ranges += [(address_of(own), own.nbytes, number, 0) for number, own in enumerate(pieces, 1) if own.size]
+        ranges += [
+            (record.flat.record.address, record.flat.words.nbytes, number, 0)
+            for number, record in enumerate(placed, 1 + len(pieces))
         ]
-        place, piece, offset = Ranges(kept).places(self.words[: self.starts[-1]])
+        place, piece, offset = Ranges(ranges).places(self.words[: self.starts[-1]])
         self.words[place] = offset
-        for number, one in enumerate(placed, 1):
-            self.words[place[piece == len(pieces) + number]] += np.uint64(one.address)
+        for number, record in enumerate(placed, 1 + len(pieces)):
+            self.words[place[piece == number]] += np.uint64(record.address)
         self._places = [place[piece == number] for number in range(1 + len(pieces))]
 
     @property
     def size(self) -> int:
-        """The words of a row."""
+        """Returns the number of 64-bit words in a row."""
         return len(self.words)
 
     def fill(self, rows: np.ndarray, at: np.ndarray) -> None:
-        """Fills ``rows`` (n, size) uint64 for frames whose rows and pieces are ``at`` addresses (n, 1 + pieces)."""
+        """Writes the rows of n frames into ``rows`` (n, size) uint64. ``at`` (n, 1 + pieces) uint64 are the addresses
+        on the card of each frame's row and of its pieces."""
         rows[:] = self.words
         for number, place in enumerate(self._places):
             rows[:, place] += at[:, number, None]
 
 
 class Group(NamedTuple):
-    """Frames of one ``template``: the ``place`` (n,) of each among those of the launch, the addresses of its pieces but
-    the last ones (n, p), where it writes these (n, w) in what comes ``back`` or, (w,), else aside, and its ``numbers``
-    (n, k), of the ``columns`` (k,) of its row."""
+    """n frames of a launch whose rows have one ``template``.
+
+    ``place`` (n,): the index of each frame in the launch. ``pieces`` (n, p): the addresses on the card of its pieces,
+    without the last w. ``written`` (n, w): where its last w pieces begin, as offsets [bytes] that ``reserve`` returned;
+    ``back`` (w,) bool: whether these come back to this machine. ``numbers`` (n, k) uint64 are the words in the
+    ``columns`` (k,) of its row.
+    """
 
     template: FrameTemplate
     place: np.ndarray
@@ -76,7 +82,8 @@ class Group(NamedTuple):
 
 
 class FrameLaunch:
-    """The frames of a launch: their rows go to the card by one copy, and what they tell comes back by one."""
+    """The frames of one launch, ``len()`` of them. Their rows go to the card in one copy, and the results come back in
+    one."""
 
     def __init__(self, pool: Pool) -> None:
         self._pool, self._groups, self._chains, self._layers = pool, list[Group](), list[int](), list[int]()
@@ -86,7 +93,8 @@ class FrameLaunch:
         return len(self._chains)
 
     def reserve(self, size: int, *, back: bool = True) -> int:
-        """Reserves ``size`` bytes of what comes back, or aside from it, and returns where they begin there."""
+        """Reserves ``size`` bytes for results and returns their offset [bytes]: among those that come ``back`` to this
+        machine, or else among those that stay on the card."""
         begin = self._back_bytes if back else self._aside_bytes
         if back:
             self._back_bytes += piece_bytes(size)
@@ -95,8 +103,8 @@ class FrameLaunch:
         return begin
 
     def chains(self, lengths: Sequence[int], layers: int) -> tuple[int, int]:
-        """Adds frames of so many ``layers`` in chains of these ``lengths``, of which each goes on from the one before.
-        Returns the place of the first one among frames, and among the layers of all."""
+        """Adds a chain of frames for each of ``lengths``, all with ``layers`` layers. Within a chain each frame goes on
+        from the one before. Returns the index of the first added frame, and that of its first layer in the launch."""
         begin = len(self), sum(self._layers)
         for length in lengths:
             self._chains += [length, *[0] * (length - 1)]
@@ -104,24 +112,26 @@ class FrameLaunch:
         return begin
 
     def add(self, group: Group) -> None:
-        """Adds the rows of such frames."""
+        """Adds the rows of the frames of ``group``."""
         self._groups.append(group)
         self._row_words += len(group.place) * group.template.size
 
     @property
     def row_bytes(self) -> int:
-        """The bytes that go to the card: a task of each frame, and its row."""
+        """Returns the number of bytes that go to the card: the task and the row of each frame."""
         return 8 * (TASK * len(self) + self._row_words)
 
     @property
     def out_bytes(self) -> int:
-        """The bytes that frames write: what they tell, what comes back, and what does not."""
+        """Returns the number of bytes that the launch writes: the outcomes of all layers, then the results that come
+        back, then those that stay on the card."""
         return self._told_bytes + self._back_bytes + self._aside_bytes
 
     def draw(self, at: int, out: int, scratch: int, groups: int, threads: int) -> None:
-        """Writes the rows to the address ``at`` and begins the launch, which writes at ``out``.
+        """Copies tasks and rows to the card's address ``at``, and begins a launch that writes from ``out`` on.
 
-        ``groups`` of ``threads`` draw the frames, each with ``FRAME_SCRATCH_BYTES`` from ``scratch`` on.
+        At most ``groups`` groups of ``threads`` threads compute the frames. The scratch of all groups begins at
+        ``scratch``, ``FRAME_SCRATCH_BYTES`` for each.
         """
         words = np.empty(self.row_bytes // 8, np.uint64)
         tasks, first = words[: TASK * len(self)].reshape(-1, TASK), TASK * len(self)
@@ -138,13 +148,13 @@ class FrameLaunch:
         self._pool.card.write(at, words)
         self._pool.card.frames(at, len(self), min(groups, len(self)), threads)
 
-    def told(self, out: int) -> tuple[np.ndarray, np.ndarray]:
-        """Returns what the layers of the launch that wrote at ``out`` tell (L, TOLD) int64, and the uint8 that came
-        back."""
-        found = np.empty(self._told_bytes + self._back_bytes, np.uint8)
-        self._pool.card.read(out, found)
-        told = found[: 8 * TOLD * sum(self._layers)].view(np.int64).reshape(-1, TOLD)
-        return told, found[self._told_bytes :]
+    def outcomes(self, out: int) -> tuple[np.ndarray, np.ndarray]:
+        """Returns the outcomes (L, TOLD) int64 of all layers of the launch, and the results (n,) uint8 that come back.
+        It waits for the end of the launch, which wrote from the card's address ``out`` on."""
+        written = np.empty(self._told_bytes + self._back_bytes, np.uint8)
+        self._pool.card.read(out, written)
+        outcomes = written[: 8 * TOLD * sum(self._layers)].view(np.int64).reshape(-1, TOLD)
+        return outcomes, written[self._told_bytes :]
 
     @property
     def _told_bytes(self) -> int:

@@ -7,21 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from drape.engine import packer
 from drape.engine.records import HASH, RECORDS
 
-TYPES = {
-    "numbers": "<f4",
-    "float32s": "<f4",
-    "float64s": "<f8",
-    "int32s": "<i4",
-    "uint32s": "<u4",
-    "uint16s": "<u2",
-    "bytes": "<u1",
-}
+TYPES = packer.TYPES | {"numbers": np.dtype(np.float32)}
 
 
 def flat_records(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[np.ndarray]]:
-    """Returns the document of the records ``values``, by their names, and their arrays one after the other.
+    """Returns the records ``values``, by their names in ``RECORDS``, as a document for JSON and a list of flat arrays.
 
     The document's ``layout`` is the table's ``HASH``. In its ``records`` a field is a number, the count of elements of
     an array, the document of a record, or a list of such. Arrays come in the order of the table's fields; their floats

@@ -21,7 +21,8 @@ _PERMIT = (158, 0x1023, 18)  # the system's call for the state of tiles: arch_pr
 
 
 class Scratch(ctypes.Structure):
-    """Scratch memory of the engine (``source/arrays.hpp``)."""
+    """``size`` bytes of scratch memory as a function of the engine takes it (``source/arrays.hpp``). A call sets
+    ``used`` to the bytes that it took, and ``overflowed`` where there were too few."""
 
     _fields_ = [
         ("begin", ctypes.c_void_p),
@@ -36,7 +37,8 @@ class Scratch(ctypes.Structure):
 
 
 def library_name(level: int, forced: str | None = None) -> str:
-    """The name, without its end, of the library for a processor of this ``level``; ``forced`` is ``DRAPE_ISA``.
+    """Returns the name, without suffix, of the library's file for a processor of this ``level`` of x86-64 (0: arm64).
+    ``forced``, such as "v3", is the level that ``DRAPE_ISA`` names in its place.
 
     Refuses (``ArtifactError``) a processor that no library is made for, and a level above its own.
     """
@@ -55,7 +57,8 @@ def library_name(level: int, forced: str | None = None) -> str:
 
 @cache
 def load(*, tests: bool = False, folder: Path = LIBRARIES) -> ctypes.CDLL:
-    """The library for this processor, or the one with what only ``tests`` call: kernels in float64, parts of kernels.
+    """Returns the opened library in ``folder`` for this processor, or with ``tests`` the one that also has what only
+    tests call: kernels in float64, parts of kernels.
 
     Refuses (``ArtifactError``) what ``library_name`` does, a missing file, and one that was made from other sources
     than the Python beside it.
@@ -73,8 +76,8 @@ def load(*, tests: bool = False, folder: Path = LIBRARIES) -> ctypes.CDLL:
 
 @cache
 def has_tiles() -> bool:
-    """Whether layers may be given tiles: the processor and the library for it have them, and Linux lets this process
-    keep their state."""
+    """Returns whether layers of the network may use the processor's tiles (AMX): the processor and its library have
+    them, and Linux lets this process keep their state."""
     level, tiles = processor_level()
     if not tiles or library_name(level, os.environ.get("DRAPE_ISA") or None) != library_name(4):
         return False
@@ -82,6 +85,6 @@ def has_tiles() -> bool:
 
 
 def empty_points(count: int, dtype: type[np.floating] | np.dtype) -> np.ndarray:
-    """Returns zeros (P, 3) for ``count`` points. Behind the last one the memory has room for one number more, since the
+    """Returns zeros (``count``, 3) for points. Behind the last one the memory has room for one number more, since the
     engine reads points four numbers at a time."""
     return np.zeros(3 * count + 1, dtype)[: 3 * count].reshape(count, 3)

@@ -14,7 +14,7 @@ import numpy as np
 
 from drape.engine.records import ARRAYS, RECORDS
 
-_TYPES = {
+TYPES = {
     "float32s": np.dtype(np.float32),
     "float64s": np.dtype(np.float64),
     "int32s": np.dtype(np.int32),
@@ -26,10 +26,8 @@ _WORD, _WORDS = struct.Struct("<Q"), {"number": struct.Struct("<d"), "count": st
 
 
 class Record:
-    """The words of a record, and the ``arrays`` and made records, its ``parts``, that they point to.
-
-    ``address`` [bytes] is where the words are.
-    """
+    """The words of a record as the engine reads them, at ``address``. The words point to ``arrays``, and to the records
+    ``parts``, which this keeps alive."""
 
     __slots__ = ("_words", "address", "arrays", "parts")
 
@@ -60,15 +58,15 @@ class Record:
         return record
 
     def ending(self, *numbers: float) -> Record:
-        """Returns the same record with ``numbers`` in its last fields."""
-        made = object.__new__(Record)
-        made.arrays, made.parts = self.arrays, self.parts
-        made._set([*self._words[: -len(numbers)], *_number_words(numbers)])
-        return made
+        """Returns a record of the same arrays that has ``numbers`` in its last fields."""
+        record = object.__new__(Record)
+        record.arrays, record.parts = self.arrays, self.parts
+        record._set([*self._words[: -len(numbers)], *_number_words(numbers)])
+        return record
 
     @property
     def words(self) -> np.ndarray:
-        """The words, uint64, where they are."""
+        """Returns the words (n,) uint64, not a copy of them."""
         return np.frombuffer(self._words, np.uint64)
 
     def _set(self, words: list[int]) -> None:
@@ -80,7 +78,7 @@ class Record:
         for field, kind in RECORDS[name].items():
             own = getattr(value, field)
             if kind in ARRAYS:
-                wanted = _TYPES.get(kind, dtype)
+                wanted = TYPES.get(kind, dtype)
                 if own.dtype != wanted or not own.flags.c_contiguous:
                     raise TypeError(f"{name}.{field}: expected contiguous {wanted}, got {own.dtype}, {own.strides}")
                 self.arrays.append(own)
@@ -124,7 +122,7 @@ class Recorded:
 
     @cached_property
     def record(self) -> Record:
-        """The constants as the record that the engine reads."""
+        """Returns the constants as the record that the engine reads; it is made once."""
         return Record(type(self).__name__, self)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -16,7 +16,10 @@ CURE = "Build it: python -m drape.engine.build." if CLONE else "Install the whee
 
 def processor_level(folder: Path = LIBRARIES) -> tuple[int, bool]:
     """Returns the level of x86-64 that this processor has (0 on another one), and whether it multiplies tiles of
-    bfloat16 (AMX)."""
+    bfloat16 (AMX).
+
+    Refuses (``ArtifactError``) a ``folder`` without the library that asks the processor.
+    """
     probe = folder / f"probe{SUFFIX}"
     if not probe.is_file():
         raise ArtifactError("engine", expected=f"the file {probe.name}", got="none", cure=CURE)

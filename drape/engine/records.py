@@ -321,7 +321,7 @@ HASH = int.from_bytes(hashlib.sha256(repr(RECORDS).encode()).digest()[:8], "litt
 
 
 def header() -> str:
-    """The text of ``source/records.hpp``."""
+    """Returns the text of ``source/records.hpp``: the structs of all records in C++."""
     lines = [
         "// Written by drape/engine/build.py of the table in drape/engine/records.py: change that.",
         "#pragma once",
@@ -345,6 +345,6 @@ def _declared(kind: str) -> str:
 
 
 def size(name: str) -> int:
-    """The 64-bit words of a record."""
+    """Returns the number of 64-bit words in the record ``name``."""
     kinds = RECORDS[name].values()
     return sum(size(kind) if kind in RECORDS else 1 if kind in ("number", "count") else 2 for kind in kinds)

@@ -28,13 +28,13 @@ from drape.network.weights import weights_of
 
 
 def is_covered(network: Mapping[str, Any]) -> bool:
-    """Whether the engine computes the ``network`` that a manifest describes: the shipped kind, of whatever size."""
+    """Returns whether the engine computes the ``network`` of a manifest: the shipped kind, of whatever size."""
     whole = all(int(size) % OUTPUTS == 0 for size in network.get("decoder_sizes", (1,)))  # codes are read in whole rows
     return network.get("variant") == "vector" and bool(network.get("corrections")) and whole
 
 
 class GarmentRows(NamedTuple):
-    """The constants of a garment: its ``patches``, and the ``tiles`` of its vertices."""
+    """The constants of a garment as the engine reads them: its ``patches``, and the ``tiles`` of its vertices."""
 
     patches: PatchRows
     tiles: Tiles
@@ -42,8 +42,8 @@ class GarmentRows(NamedTuple):
 
 
 class CompiledNetwork:
-    """The network on a processor: its ``parameters`` by their names, and ``network``, the manifest's description of
-    it."""
+    """The network on a processor, made of its ``parameters`` by their names and of ``network``, the manifest's
+    description of it."""
 
     def __init__(self, parameters: Mapping[str, np.ndarray], network: Mapping[str, Any]) -> None:
         self.weights = weights_of(parameters, float(network["output_gain"]))
@@ -52,25 +52,28 @@ class CompiledNetwork:
         self._motion = motion_encoder(parameters, network) if network.get("dynamic") else None
         self._code_size = int(network["body_code_size"])
 
-    def first(self, features: np.ndarray) -> np.ndarray:
-        """Returns the garment encoder's output (K, n) float32 for patches with ``features`` (K, m)."""
+    def encode(self, features: np.ndarray) -> np.ndarray:
+        """Returns the garment encoder's output (K, n) float32 for K patches with ``features`` (K, m)."""
         return encode_patches(self._garments, features)
 
     def advance(self, features: np.ndarray, state: np.ndarray, dt_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Codes (n, C) and next states (n, H) of a dynamic network, for motion (n, 24, 12), states (n, H) and steps
-        (n,) [s], all float32."""
+        """Returns the codes (n, C) and the next recurrent states (n, H) of n moving bodies, for a dynamic network.
+
+        ``features`` (n, 24, 12) are ``motion_features``, ``state`` (n, H) the states before, and ``dt_s`` (n,) [s] the
+        times since then, all float32.
+        """
         assert self._motion is not None
         code, after = advance_encoder(self._motion, features, state, dt_s)
         return code[:, : self._code_size], after
 
     def rows(self, garment: PackedGarment) -> GarmentRows:
-        """The constants of ``garment`` as the engine reads them."""
+        """Returns the constants of ``garment`` as the engine reads them."""
         return GarmentRows(patch_rows(garment, garment.stored[FIRST]), Tiles.of(garment), garment.vertex_count)
 
     def body(self, feed: Mapping[str, np.ndarray], row: int, skin_counts: np.ndarray) -> PosedBody:
-        """Returns the body in ``row`` of ``feed``, the inputs of the packed graph, posed by the engine.
+        """Returns the posed body in ``row`` of ``feed``, the packed graph's inputs of bodies by name.
 
-        ``skin_counts`` is ``counts`` of ``ShapedSkin``. A posed skin in ``feed`` is taken as it is; otherwise the bones
+        ``skin_counts`` is ``SkinShapes.counts``. A posed skin in ``feed`` is taken as it is; otherwise the bones
         pose it.
         """
         bones = feed["skin_bones"]
@@ -89,10 +92,11 @@ class CompiledNetwork:
     def drape(
         self, garment: GarmentRows, body: PosedBody, passes: int | None, *, vertices: bool
     ) -> tuple[dict[str, np.ndarray], bool]:
-        """Drapes ``garment`` on ``body`` with ``passes`` corrections, None for all. Returns arrays by the names of the
-        packed graph's outputs, and whether all their numbers are finite.
+        """Drapes ``garment`` on ``body`` with ``passes`` corrections, None for all. Returns float32 arrays by name, and
+        whether all their numbers are finite.
 
-        The arrays are the posed jets and the ``vertices`` [m] (V, 3), which are (0, 3) if not asked for.
+        "jet" (K, 45) [patch scales], "frame_rotation" (K, 3, 3) and "frame_centre" (K, 3) [m] are the posed jets.
+        "vertices" [m] are (V, 3), or (0, 3) without ``vertices``. Places are relative to the root joint.
         """
         count = self.corrections if passes is None else passes
         drawn = np.empty((garment.vertex_count if vertices else 0, 3), np.float32)
@@ -102,9 +106,10 @@ class CompiledNetwork:
         return dict(zip(JETS, (jets.jet, jets.rotation, jets.centre), strict=True)) | {"vertices": drawn}, finite
 
     def records(self, garment: GarmentRows, passes: int | None) -> dict[str, Any]:
-        """Returns the records of the engine, by their names, from which a client computes the network for ``garment``.
+        """Returns the records "Weights" and "PatchRows", by which a client's engine computes the network for
+        ``garment``.
 
-        ``passes``: how many corrections run, None for all. The records have no tiles: the client's processor has none.
+        ``passes``: how many corrections run, None for all. Layers have no tiles of AMX, since browsers have none.
         """
         weights, count = self.weights, self.corrections if passes is None else passes
         layers = {"body": weights.body, "trunk": weights.trunk, "heads": weights.heads}

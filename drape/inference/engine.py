@@ -66,14 +66,13 @@ _TYPES = {
 
 
 class Engine:
-    """An opened model, static or dynamic: every part of its graphs is opened once, by any thread, and safe to run from
-    one at a time. The packed graph of a ``dynamic`` model takes ``dynamic_code`` (B, ``code_size``), zeros for bodies
-    at rest.
+    """An opened model. Any thread may open a part of a graph, which is opened once; one thread at a time may run it.
 
-    On a CPU ``drape.engine`` computes the network with its encoders (``compiled``), if it covers it, and every
-    push-out (but where ``pushes`` asks for their graphs); then ONNX Runtime is not needed. On a GPU both are graphs. A
-    model of another kind runs on a CPU as it is, by its readable graph (``whole``): all of its passes.
-    Refuses (``ArtifactError``) a folder without the graphs that the service runs.
+    On a CPU ``drape.engine`` computes push-outs, and the network if this is of the shipped kind (``compiled``); ONNX
+    Runtime is not needed then. A network of another kind runs by the readable graph with all corrections (``whole``).
+    On a GPU, and for push-outs where ``pushes`` is set, the graphs run. A ``dynamic`` model takes a ``dynamic_code``
+    (B, ``code_size``) for the motion of B bodies, zeros at rest, and keeps states of ``state_size`` numbers.
+    Refuses (``ArtifactError``) a folder without the graphs that run.
     """
 
     def __init__(
@@ -115,7 +114,7 @@ class Engine:
         self.provider = PROVIDER_NAMES[self._device.provider]
 
     def check_body(self, body: BodyModel) -> None:
-        """Refuses a body that the model was not trained on."""
+        """Refuses (``ArtifactError``) a body that the model was not trained on."""
         if (body.standard_digest or body.digest) != self.manifest.body_digest:
             raise ArtifactError(
                 f"{self.manifest.name} body_digest",
@@ -124,17 +123,21 @@ class Engine:
                 cure="Set DRAPE_BODY to the model's body, or export a model for this body.",
             )
 
-    def first(self, garment: Garment, fabric: Fabric | None = None) -> np.ndarray:
-        """Returns the garment encoder's output (K, n) float32 for the patches of ``garment`` made of ``fabric``: a
-        constant of garment, fabric and model."""
+    def encode(self, garment: Garment, fabric: Fabric | None = None) -> np.ndarray:
+        """Returns the garment encoder's output (K, n) float32 for the K patches of ``garment`` made of ``fabric``, None
+        for its own fabric."""
         wanted = self.manifest.graphs[ENCODER].inputs[0].shape[-1]
         features = encoder_features(garment, int(wanted), fabric)
         if self.compiled is not None:
-            return self.compiled.first(features)
+            return self.compiled.encode(features)
         return self.open_cut(ENCODER, [self._encoded]).run([self._encoded], {"patch_features": features})[0]
 
     def advance(self, features: np.ndarray, state: np.ndarray, dt_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Codes (n, C) and next states (n, H), float32, of motion (n, 24, 12), states (n, H) and steps (n,) [s]."""
+        """Returns the codes (n, C) and the next recurrent states (n, H), float32, of n moving bodies.
+
+        ``features`` (n, 24, 12) are ``motion_features``, ``state`` (n, H) the states before, ``dt_s`` (n,) [s] the
+        times since then. Raises ``ArtifactError`` where the network answers with NaN or infinity.
+        """
         inputs = {"motion_features": features, "state": state, "dt_s": dt_s}
         feed = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in inputs.items()}
         if self.compiled is not None:
@@ -153,22 +156,22 @@ class Engine:
 
     @property
     def knows_fabrics(self) -> bool:
-        """Whether the network drapes by what a garment is made of."""
+        """Returns whether the drape depends on what a garment is made of."""
         return bool(self.manifest.network.get("fabric", False))
 
     @property
     def threads(self) -> int:
-        """Threads that one call may use."""
+        """Returns the number of threads that one call may use."""
         return self._device.threads
 
     @property
     def feels_body(self) -> bool:
-        """Whether the network poses the skin of its bodies, for what patches feel of it."""
+        """Returns whether the network reads posed skin samples, for body proximity."""
         return SKIN in _names(self._drapes.outputs) or "body_skin" in _names(self._drapes.inputs)
 
     @property
     def pass_count(self) -> int:
-        """The number of corrections, of which a scene may choose how many run; 0 if the model leaves no choice."""
+        """Returns how many corrections the model has; 0 if all of them always run."""
         outputs = _names(self._drapes.outputs)
         return next(count for count in range(len(outputs) + 1) if pass_name(count + 1) not in outputs)
 
@@ -190,11 +193,10 @@ class Engine:
         passes: int | None = None,
         given: Collection[str] = (),
     ) -> Session:
-        """Returns the session that computes ``outputs`` of ``graph`` and nothing else (``drape.inference.subgraph``).
-        It is opened once. A model whose graphs are used ``whole`` gets a session of the whole graph.
+        """Returns the session that computes ``outputs`` of ``graph`` and nothing else, opened at the first call.
 
-        ``direct`` and ``given`` are those of ``subgraph.cut``. Of the packed graph ``passes`` corrections run, all by
-        default.
+        ``direct`` and ``given`` are those of ``subgraph.cut``. ``passes`` corrections of the packed graph run, None for
+        all. A model that runs by its readable graph (``whole``) gets a session of the whole graph.
         """
         passes = self.check_passes(passes)
         key = graph, tuple(outputs), tuple(direct), passes, tuple(given)
@@ -224,9 +226,8 @@ class Engine:
         return Session(session, device)
 
     def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
-        """Returns ``array`` in the memory of the device where the graphs compute; on the CPU it shares the array's
-        memory.
-        """
+        """Returns ``array`` as a value of ONNX Runtime on the device of the graphs; on a CPU both share their
+        memory."""
         return self._device.value(array)
 
 
@@ -243,7 +244,7 @@ def _names(tensors: Sequence[TensorSpec]) -> set[str]:
 
 
 def _check_graphs(model: str, manifest: Manifest, run: Sequence[str], *, encoded: str) -> None:
-    """Refuses a model without a graph that is ``run``, or one of these without an output that is read."""
+    """Refuses a model that lacks a graph of ``run``, and a graph that lacks an output which is read."""
     for name in run:
         spec = manifest.graphs.get(name)
         if spec is None:
@@ -255,7 +256,7 @@ def _check_graphs(model: str, manifest: Manifest, run: Sequence[str], *, encoded
 
 
 def _code_size(model: str, manifest: Manifest, drapes: GraphSpec) -> int:
-    """Numbers of a dynamic code, 0 of a static model; refuses graphs that are not what the manifest says."""
+    """The length of a dynamic code, 0 for a static model. Refuses graphs that are not what the manifest says."""
     code = {t.name: t.shape[-1] for t in drapes.inputs}.get("dynamic_code", 0)
     states = [t.shape[-1] for t in manifest.graphs[DYNAMIC].inputs if t.name == "state"] if manifest.dynamic else [0]
     fits = (code != 0) == manifest.dynamic and states == [manifest.state_size]
@@ -268,11 +269,11 @@ def _code_size(model: str, manifest: Manifest, drapes: GraphSpec) -> int:
     return code
 
 
-def _compare(model: str, graph: str, side: str, written: dict[str, str], found: dict[str, str]) -> None:
-    if set(written) != set(found):
+def _compare(model: str, graph: str, side: str, written: dict[str, str], types: dict[str, str]) -> None:
+    if set(written) != set(types):
         raise misexported(
-            f"{model} {graph} {side}", expected=f"{sorted(written)} as in the manifest", got=str(sorted(found))
+            f"{model} {graph} {side}", expected=f"{sorted(written)} as in the manifest", got=str(sorted(types))
         )
     for name, dtype in written.items():
-        if _TYPES.get(dtype) != found[name]:
-            raise misexported(f"{model} {graph} {name}", expected=f"{dtype} as in the manifest", got=found[name])
+        if _TYPES.get(dtype) != types[name]:
+            raise misexported(f"{model} {graph} {name}", expected=f"{dtype} as in the manifest", got=types[name])

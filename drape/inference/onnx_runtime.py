@@ -25,50 +25,47 @@ Provider = Literal["cpu", "cuda"]
 PROVIDER_NAMES: dict[Provider, str] = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
 HOW_TO_INSTALL = "pip install onnxruntime or pip install onnx 'onnxruntime-gpu[cuda,cudnn]'"
-
-
-MEMORY_BYTES = 4 << 30  # of a session's workspace on a GPU
+MEMORY_BYTES = 4 << 30  # limit of a session's workspace on a GPU
 
 
 @dataclass(frozen=True)
 class Device:
-    """The processor or GPU on which graphs compute.
-
-    A CPU has ``threads``.
-    """
+    """The processor or GPU on which graphs compute. A CPU computes with ``threads`` threads."""
 
     provider: Provider = "cpu"
     threads: int = 1
 
     def computing(self) -> AbstractContextManager[None]:
-        """The context in which a thread runs sessions; a session's own option holds for its own threads only."""
+        """Returns a context for threads that open or run sessions: subnormal numbers count as zero in it.
+
+        ONNX Runtime's own option does that for a session's own threads only.
+        """
         return flushed()
 
     def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
-        """Returns ``array`` in the memory of the device where the graphs compute; on the CPU it shares the array's
-        memory.
-        """
+        """Returns ``array`` as a value of ONNX Runtime on this device; on a CPU both share their memory."""
         import onnxruntime
 
         return onnxruntime.OrtValue.ortvalue_from_numpy(array, self.provider)
 
     def options(self) -> dict[str, str]:
-        """The provider's options. TF32 is off: it rounds the products of coordinates to ten bits."""
+        """Returns ONNX Runtime's options of the provider by name. TF32 is off: it rounds products of coordinates to ten
+        bits."""
         if self.provider == "cpu":
             return {}
         return {"use_tf32": "0", "gpu_mem_limit": str(MEMORY_BYTES), "arena_extend_strategy": "kSameAsRequested"}
 
 
 class Session:
-    """An opened part of a graph. Every call takes its memory anew, which costs nothing on a CPU."""
+    """An opened part of a graph. ``inputs`` are the names of what it takes."""
 
     def __init__(self, opened: onnxruntime.InferenceSession, device: Device) -> None:
         self.inputs = tuple(tensor.name for tensor in opened.get_inputs())
         self._opened, self._device = opened, device
 
     def run(self, outputs: Sequence[str], feed: Mapping[str, Value]) -> list[np.ndarray]:
-        """Returns the arrays of ``outputs`` for ``feed``, whose values are numpy arrays, or values where the graph
-        computes."""
+        """Returns the arrays of ``outputs``, in their order. ``feed`` has an array, or a value on the device, for each
+        input by name."""
         values = {name: self._device.value(v) if isinstance(v, np.ndarray) else v for name, v in feed.items()}
         with self._device.computing():
             found = self._opened.run_with_ort_values(list(outputs), values)
@@ -76,10 +73,10 @@ class Session:
 
 
 def check_distributions() -> str:
-    """The one ONNX Runtime distribution that is installed; refuses none and two.
+    """Returns the name of the ONNX Runtime distribution that is installed; refuses (``Unavailable``) none and two.
 
-    Both put their files in the same folder: the last one installed wins, and
-    removing one breaks the other (microsoft/onnxruntime#10685).
+    Both put their files into the same folder: the last one installed wins, and removing one breaks the other
+    (microsoft/onnxruntime#10685).
     """
     installed = {name: version for name in DISTRIBUTIONS if (version := _version(name))}
     if len(installed) == 2:
@@ -117,10 +114,11 @@ def _load_cuda() -> None:
 
 
 def open_session(label: str, model: bytes, weights: dict[str, bytes], device: Device) -> onnxruntime.InferenceSession:
-    """A session of the bytes ``model``, on the provider that was asked for.
+    """Returns a session of ``model``, the bytes of an ONNX file, on the provider of ``device``.
 
-    ``weights``: files of tensors outside the model, by the name that it has for them. From memory and not from the
-    folder: parts of the packed graph are opened long after the rest, when another model may lie there.
+    ``weights``: the contents of its files of tensors by their names. All comes from memory, since parts of the packed
+    graph are opened when another model may lie in the folder. Raises ``ArtifactError`` with ``label`` for bytes that
+    ONNX Runtime does not open, and ``Unavailable`` where it does not use the provider.
     """
     import onnxruntime
 
@@ -171,6 +169,7 @@ def _session_options(weights: dict[str, bytes], device: Device) -> onnxruntime.S
 
 
 def nodes_off_provider(session: Any, device: Device) -> int:
-    """Nodes of ``session`` that do not run on the provider that was asked for: on a GPU each waits for a copy."""
+    """Returns how many nodes of ``session`` do not run on the provider of ``device``; on a GPU each waits for a
+    copy."""
     parts = session.get_provider_graph_assignment_info()
     return sum(len(part.get_nodes()) for part in parts if part.ep_name != PROVIDER_NAMES[device.provider])

@@ -1,9 +1,9 @@
 """Drapes any mix of garments, clients and frames through the packed graph: ``Packer``.
 
-A ``ScenePlan`` names what a scene needs. A batch is a list of items, each a garment and a body. On a CPU the engine
-drapes item after item (``drape.inference.compiled``); on a GPU a graph drapes all of them, in a session that holds no
-nodes but the plan's. What that is fed with besides bodies is kept for each batch while memory allows, since streams
-repeat theirs. An item has the same bits in any batch on a CPU (``tests/service/graphs``), so a batch may be run in
+A ``ScenePlan`` names the outputs. A batch is a list of items, each a garment and a body. On a CPU the engine
+drapes item after item (``drape.inference.compiled``); on a GPU a graph drapes all of them, in a session that has only
+the nodes of these outputs. Its inputs besides bodies are kept for each batch while memory allows, since streams repeat
+their batches. An item has the same bits in any batch on a CPU (``tests/service/graphs``), so a batch may be run in
 parts of any size.
 """
 
@@ -38,21 +38,21 @@ if TYPE_CHECKING:
 
 Shape = Literal["vertices", "jets", "both"]
 OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {"vertices": ("vertices",), "jets": JETS, "both": ("vertices", *JETS)}
-SHAPE_INDEX = ("body_shape",)  # nor this where all bodies have one shape
+SHAPE_INDEX = ("body_shape",)  # the index input that graphs do without where all bodies have one shape
 TILES_PER_CALL = 2048  # about 10 MB of columns: what a core's share of the last cache holds
-TILES_PER_GPU_CALL = 65536  # of devices with memory of their own
-KEPT_BYTES = 32 << 20  # of index tensors
-FABRICS_KEPT = 64  # garments in fabrics that are not their own
+TILES_PER_GPU_CALL = 65536
+KEPT_BYTES = 32 << 20  # limit of the index tensors of batches that are kept
+FABRICS_KEPT = 64  # how many garments in fabrics other than their own stay in store
 
-Item = tuple[str, int]  # garment, row of its body
+Item = tuple[str, int]  # the key of a garment, and the row of its body among the bodies
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """Outputs that a scene asks of the packed graph: vertices, posed jets or both, and the posed ``skin`` of bodies.
+    """What is computed of items: vertices, posed jets or both, and with ``skin`` the posed skin samples of the body.
 
-    ``passes``: how many of the network's corrections run, all of them by default.
+    ``passes``: how many of the network's corrections run, None for all.
     """
 
     shape: Shape = "vertices"
@@ -61,15 +61,16 @@ class ScenePlan:
 
     @cached_property
     def outputs(self) -> tuple[str, ...]:
-        """Outputs of the packed graph that the plan fetches."""
+        """Returns the names of the packed graph's outputs that the plan asks for."""
         return (*OUTPUTS_OF[self.shape], *((SKIN,) if self.skin else ()))
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Outputs of one item by name: rows of its vertices (V, 3) or patches (K, ...), and the skin of its body.
+    """The outputs of one item by name, float32, relative to the root joint; which ones, its ``ScenePlan`` says.
 
-    ``finite`` is false where the network's answer holds NaN or infinity.
+    "vertices" (V, 3) [m]; the posed jets "jet" (K, 45) [patch scales], "frame_rotation" (K, 3, 3) and "frame_centre"
+    (K, 3) [m]; "skin" (R, 12, 8), the body's posed samples. ``finite`` is false where an output holds NaN or infinity.
     """
 
     arrays: dict[str, np.ndarray]
@@ -78,8 +79,8 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class _Call:
-    """A call of the graph for some items under a plan: its session, what this is fed with besides bodies, and where
-    each item lies in the answer."""
+    """A call of the graph for some items: its session, the inputs besides bodies, and where each item lies in the
+    outputs."""
 
     session: Session
     feed: dict[str, Value]
@@ -87,7 +88,10 @@ class _Call:
 
 
 class Packer:
-    """Runs plans on the packed graph of an engine's model; safe to call from any thread."""
+    """Drapes stored garments on bodies by the model of ``engine``; safe to call from any thread.
+
+    ``kept_bytes`` limits the index tensors that are kept. ``tiles_per_call``: tiles that one call of a graph takes.
+    """
 
     def __init__(
         self, engine: Engine, body: BodyModel, *, kept_bytes: int = KEPT_BYTES, tiles_per_call: int | None = None
@@ -108,42 +112,42 @@ class Packer:
 
     @property
     def store(self) -> Store:
-        """The constants of the garments; change them through this class alone."""
+        """Returns the store of the garments' constants, which only this class may change."""
         return self._store
 
     @property
     def held_bytes(self) -> int:
-        """The memory of the garments' constants [bytes]."""
+        """Returns the size of the garments' constants [bytes]."""
         return self._store.bytes
 
     @property
     def kept_bytes(self) -> int:
-        """The memory of the index tensors that are kept [bytes]."""
+        """Returns the size of the index tensors of batches that are kept [bytes]."""
         return self._kept_bytes
 
     def add(self, key: str, garment: Garment, feed: dict[str, np.ndarray] | None = None) -> None:
-        """Encodes ``garment`` and stores it under ``key``.
+        """Encodes ``garment`` in its own fabric and stores it under ``key``.
 
-        ``feed``: what ``garment_feed`` returns of it with this packer's body, which is computed if it is None.
+        ``feed`` is its ``garment_feed`` on this packer's body, which is computed if it is None.
         """
         if feed is None:
             feed = garment_feed(garment, body=self._body if self._engine.feels_body else None)
-        packed = pack_garment(feed, self._engine.first(garment))  # frames wait for the lock, and not for this
+        packed = pack_garment(feed, self._engine.encode(garment))  # frames wait for the lock, and not for this
         with self._lock:
             self._store.add(key, garment, packed)
             self._rows.pop(key, None)
             self._forget()
 
     def dressed(self, key: str, fabric: Fabric) -> str:
-        """Returns the key of the garment ``key`` made of ``fabric``.
+        """Returns the key under which the garment ``key`` is stored in ``fabric``.
 
-        The first time this stores it in that fabric, which takes ten milliseconds. The ``FABRICS_KEPT`` latest used are
-        kept.
+        The first call stores it so, in ten milliseconds. The ``FABRICS_KEPT`` latest used of these stay in store.
+        Refuses (``NotFound``) a garment that is not in store.
         """
         name = f"{key} of {fabric.digest}"
         with self._lock:
             garment = None if name in self._store else self._store.garment(key)
-        first = None if garment is None else self._engine.first(garment, fabric)
+        first = None if garment is None else self._engine.encode(garment, fabric)
         with self._lock:
             if first is not None and name not in self._store:  # another thread may have been faster
                 for old in list(self._worn)[: len(self._worn) + 1 - FABRICS_KEPT]:
@@ -157,15 +161,15 @@ class Packer:
             return name
 
     def remove(self, key: str) -> None:
-        """Forgets the garment ``key``."""
+        """Forgets the garment ``key`` with all its fabrics; refuses (``NotFound``) one that is not in store."""
         with self._lock:
             self._store.remove(key)
             self._forget()
 
     def prepare(self, plan: ScenePlan, *, skin_given: bool, shapes: bool) -> None:
-        """Opens what frames of ``plan`` run through, of bodies of one shape and, where asked, of several ``shapes``.
+        """Opens the sessions that frames of ``plan`` run: for bodies of one shape, and with ``shapes`` also of several.
 
-        It takes a fifth of a second each, and may be called from any thread.
+        ``skin_given``: whether the posed skin comes with the bodies. A session takes a fifth of a second.
         """
         one_shape = self._skins is not None
         if self._engine.compiled:
@@ -174,11 +178,11 @@ class Packer:
             self._session(plan, one_shape=kind, skin_given=skin_given)
 
     def run(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: Sequence[Item]) -> list[Result]:
-        """Results of ``items``, in their order. ``bodies`` are ``PackedBody.rows``, joined over clients.
+        """Returns the results of ``items``, in their order. ``bodies`` are ``PackedBody.rows`` of B bodies.
 
-        Refuses a garment that is not in store and a row that ``bodies`` do not have. For a dynamic model ``bodies``
-        may hold ``dynamic_code`` (B, C); without it all are at rest. A posed ``skin`` (B, R, 12, 8) in ``bodies`` is
-        taken for body proximity in place of the one that the bones carry: of bodies with pose blend shapes.
+        ``bodies`` may also hold "dynamic_code" (B, C) for a dynamic model, whose bodies are at rest without it, and
+        "skin" (B, R, 12, 8), posed samples that replace those that the bones carry. Refuses (``NotFound``) a garment
+        that is not in store, and (``InputError``) a row that ``bodies`` do not have.
         """
         count = min(len(rows) for rows in bodies.values())
         if self._engine.dynamic:
@@ -198,18 +202,18 @@ class Packer:
         return results
 
     def records(self, key: str, *, passes: int | None) -> dict[str, Any]:
-        """Returns what ``CompiledNetwork.records`` does, of the garment ``key``."""
+        """Returns ``CompiledNetwork.records`` of the garment ``key``."""
         network = self._engine.compiled
         assert network is not None
         return network.records(self.rows(key), passes)
 
     @property
     def one_thread(self) -> bool:
-        """Whether items are draped one after the other."""
+        """Returns whether one thread drapes all items."""
         return self._threads is None
 
     def rows(self, key: str) -> GarmentRows:
-        """The constants of the garment ``key``, of a compiled network."""
+        """Returns the constants of the garment ``key`` as the engine reads them; only for a ``compiled`` network."""
         assert self._engine.compiled is not None
         with self._lock:
             if key not in self._rows:
@@ -217,7 +221,7 @@ class Packer:
             return self._rows[key]
 
     def body_feed(self, shape: PackedBody) -> BodyFeed:
-        """Returns the engine's input for a body of one ``shape``, its pose left open."""
+        """Returns a body in its ``shape`` as the engine reads it, in no pose yet."""
         assert self._skins is not None
         with self._lock:
             skins = self._skins.feed(shape.betas[None])
@@ -226,7 +230,7 @@ class Packer:
         return BodyFeed(NO_POSE, shape.joint_rest, shape.betas, still, parts, bones, self._skins.counts)
 
     def _parts(self, items: Sequence[Item]) -> list[list[Item]]:
-        """``items`` in parts that fit a call, each of one at least."""
+        """``items`` split so that each part fits a call; a part has at least one item."""
         if len(items) == 1:
             return [list(items)]
         parts: list[list[Item]] = []
@@ -330,7 +334,7 @@ class Packer:
 def _apart(
     names: Sequence[str], outputs: Sequence[np.ndarray], composition: Composition, rows: Sequence[int]
 ) -> list[dict[str, np.ndarray]]:
-    """The outputs of every item by ``names``."""
+    """Each item's own rows of the packed ``outputs``, by ``names``."""
     whole = {
         name: values.reshape(-1, 3) if name == "vertices" else values
         for name, values in zip(names, outputs, strict=True)
@@ -349,7 +353,7 @@ def _finite(arrays: dict[str, np.ndarray]) -> bool:
 
 
 def check_finite(engine: Engine, finite: bool) -> None:
-    """Refuses an answer of the network that holds NaN or infinity."""
+    """Refuses (``ArtifactError``) an answer of the network that is not ``finite``."""
     if not finite:
         raise ArtifactError(
             f"{engine.manifest.name} vertices",

@@ -1,5 +1,5 @@
-"""Constants of garments as the packed graph reads them: ``Store``. Once a call has asked for several garments each
-array lies in one piece, and a garment's own are views of it."""
+"""Constants of garments as the packed graph reads them. Once a call has asked for several garments, each array lies in
+one piece, and the arrays of a garment are views of it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from drape.errors import NotFound
 from drape.garment.cache import Garment
 from drape.graph.packing import PackedGarment, Place
 
-FIRST = "patch_first"  # what a fabric changes of the constants of a garment
+FIRST = "patch_first"  # the one array of a garment's constants that depends on its fabric
 
 
 @dataclass(eq=False)
 class _Stored:
-    """``of``: the garment whose tiles these are, where only the fabric differs."""
+    """A garment and its constants. ``of``: the key of the same garment in its own fabric, None where this is that
+    one."""
 
     garment: Garment
     packed: PackedGarment
@@ -24,7 +25,7 @@ class _Stored:
 
 
 class Store:
-    """Constants of all garments, by their keys."""
+    """The garments of a ``Packer`` and their constants, by their keys."""
 
     def __init__(self) -> None:
         self._garments: dict[str, _Stored] = {}
@@ -35,7 +36,8 @@ class Store:
         return key in self._garments
 
     def add(self, key: str, garment: Garment, packed: PackedGarment) -> None:
-        """Puts ``garment`` with its constants under ``key``, in place of what was there."""
+        """Stores ``garment`` and its constants ``packed`` under ``key``, and forgets what was there with its
+        fabrics."""
         self._undress(key)
         self._garments[key] = _Stored(garment, packed)
         self._arrays = {}
@@ -73,20 +75,22 @@ class Store:
         return self._garments[key].packed
 
     def place(self, key: str) -> Place:
-        """Returns the first rows of the garment ``key`` in ``arrays``."""
+        """Returns the rows at which patches and tiles of the garment ``key`` begin in ``arrays``."""
         self.arrays()
         return self._places[key]
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The stored inputs of the packed graph by name, laid out anew where garments came or went: it takes a
-        millisecond a garment, and compiled networks never ask."""
+        """Returns the stored inputs of the packed graph by name: rows of all garments, one garment after the other.
+
+        After a change of the garments they are laid out anew, in a millisecond for each garment.
+        """
         if not self._arrays:
             self._lay_out()
         return self._arrays
 
     @property
     def bytes(self) -> int:
-        """The memory of everything in store [bytes]."""
+        """Returns the size of all constants in store [bytes]."""
         whole = sum(stored.packed.bytes for stored in self._garments.values() if stored.of is None)
         return whole + sum(stored.packed.stored[FIRST].nbytes for stored in self._garments.values() if stored.of)
 

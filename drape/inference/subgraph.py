@@ -29,13 +29,13 @@ def cut(
     instead: Mapping[str, str] | None = None,
     given: Collection[str] = (),
 ) -> bytes:
-    """Returns ``model`` with only ``outputs`` (in this order) and what they need of its inputs, nodes and initialisers.
+    """Returns the bytes of ``model``, an ONNX file, with only ``outputs``, in this order, and what they need.
 
-    ``direct`` names index inputs whose Gathers (on axis 0) are left out: what they pick from is used whole, as if the
-    index were 0, 1, 2, ... ``instead``: values that are read in place of others, by the names of these; each must be
-    computed before what reads it. ``given``: outputs of the model that become inputs, with what only makes them left
-    out. Raises ``ArtifactError`` for an output or a value that the model does not have, bytes that are no ONNX model,
-    and nodes that hold graphs of their own; ``Unavailable`` without the package onnx.
+    ``direct``: index inputs to leave out; what they pick rows from (on axis 0) is read whole, as if the index were
+    0, 1, 2, ... ``instead`` maps the name of a value to that of the value which is read in its place; this must be
+    computed before all that reads it. ``given``: outputs of the model that become inputs. Raises ``ArtifactError`` for
+    an output or a value that the model lacks, bytes that are no ONNX model, and nodes with graphs of their own;
+    ``Unavailable`` without the package onnx.
     """
     whole = _read(model)
     graph = whole.graph
@@ -61,12 +61,12 @@ def cut(
         "output": [declared[name] for name in outputs],
         "value_info": [],  # shapes inside are inferred anew
     }
-    made = type(graph)()
-    made.CopyFrom(graph)
+    smaller = type(graph)()
+    smaller.CopyFrom(graph)
     for name, values in parts.items():
-        made.ClearField(name)
-        getattr(made, name).extend(values)
-    graph.CopyFrom(made)
+        smaller.ClearField(name)
+        getattr(smaller, name).extend(values)
+    graph.CopyFrom(smaller)
     return whole.SerializeToString()
 
 

@@ -1,6 +1,6 @@
-"""Drapes by a model's readable graph, whole: on a CPU, of models of another kind than ``drape.engine`` computes.
+"""Drapes by a model's readable graph, on a CPU: models of another kind than ``drape.engine`` computes.
 
-It has the methods of ``drape.inference.packing.Packer``. All corrections run, and every output is computed.
+``WholeGraph`` has the methods of ``drape.inference.packing.Packer``. All corrections run, and every output is computed.
 """
 
 from __future__ import annotations
@@ -29,38 +29,38 @@ if TYPE_CHECKING:
 
 
 class WholeGraph:
-    """Runs the readable graph of an engine's model; safe to call from any thread."""
+    """Drapes stored garments on bodies by the readable graph of ``engine``'s model; safe to call from any thread."""
 
     def __init__(self, engine: Engine, body: BodyModel) -> None:
         self._engine, self._body = engine, body
         self._lock = threading.Lock()
         self._garments: dict[str, Garment] = {}
         self._feeds: dict[str, dict[str, np.ndarray]] = {}
-        self._worn: OrderedDict[str, str] = OrderedDict()  # garments in other fabrics and what they are made of
+        self._worn: OrderedDict[str, str] = OrderedDict()  # the garment's key by its key in another fabric
         self._session = engine.open_cut(DRAPE, OUTPUTS)
 
     @property
     def held_bytes(self) -> int:
-        """The memory of the garments' constants [bytes]."""
+        """Returns the size of the garments' constants [bytes]."""
         feeds = [feed for key, feed in self._feeds.items() if key not in self._worn]
         return sum(array.nbytes for feed in feeds for array in feed.values())
 
     def add(self, key: str, garment: Garment, feed: dict[str, np.ndarray] | None = None) -> None:
-        """Encodes ``garment`` and keeps it under ``key``; ``feed`` is its ``garment_feed`` on this body."""
+        """Encodes ``garment`` in its own fabric and stores it under ``key``, as ``Packer.add`` does."""
         feed = garment_feed(garment, body=self._body) if feed is None else feed
         if "skin_weights" in self._session.inputs:
             feed = feed | skinning_feed(garment, self._body)
-        made = dict(feed) | {"patch_embedding": self._engine.first(garment)}
+        made = dict(feed) | {"patch_embedding": self._engine.encode(garment)}
         with self._lock:
             self._undress(key)
             self._garments[key], self._feeds[key] = garment, made
 
     def dressed(self, key: str, fabric: Fabric) -> str:
-        """The key of the garment ``key`` made of ``fabric``; the ``FABRICS_KEPT`` latest used are kept."""
+        """Returns the key under which the garment ``key`` is stored in ``fabric``, as ``Packer.dressed`` does."""
         name = f"{key} of {fabric.digest}"
         garment = self._garment(key)
         if name not in self._feeds:
-            embedding = self._engine.first(garment, fabric)
+            embedding = self._engine.encode(garment, fabric)
             with self._lock:
                 self._feeds[name] = self._feeds[key] | {"patch_embedding": embedding}
         with self._lock:
@@ -71,7 +71,7 @@ class WholeGraph:
         return name
 
     def remove(self, key: str) -> None:
-        """Forgets the garment ``key``, in all fabrics."""
+        """Forgets the garment ``key`` with all its fabrics; refuses (``NotFound``) one that is not in store."""
         self._garment(key)
         with self._lock:
             self._undress(key)
@@ -81,7 +81,7 @@ class WholeGraph:
         """Does nothing: the one session is open already."""
 
     def run(self, plan: ScenePlan, bodies: Mapping[str, np.ndarray], items: Sequence[Item]) -> list[Result]:
-        """Results of ``items``, in their order; ``bodies`` as ``Packer.run`` takes them."""
+        """Returns the results of ``items``, in their order, as ``Packer.run`` does."""
         poses = quaternion_to_rotvec(bodies["joint_quaternion"][:, :JOINT_COUNT].astype(np.float64))
         count = len(poses)
         felt = self._engine.feels_body and SKIN not in bodies

@@ -229,7 +229,7 @@ class Lane:
             job.place(self, launch)
         self._rows, self._out = self._grown(self._rows, launch.row_bytes), self._grown(self._out, launch.out_bytes)
         launch.draw(self._rows[0], self._out[0], self._scratch, self._groups, THREADS)
-        results, back = launch.told(self._out[0])
+        results, back = launch.outcomes(self._out[0])
         for job in jobs:
             job.read(results, back)
         self.frames, self.launches = self.frames + len(launch), self.launches + 1

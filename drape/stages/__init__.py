@@ -22,5 +22,5 @@ STAGES: tuple[type[Stage], ...] = (
 
 
 def make_stages(setup: StageSetup) -> tuple[Stage, ...]:
-    """All stages of a service, in order."""
+    """Returns a stage of each class of ``STAGES``, in their order."""
     return tuple(stage(setup) for stage in STAGES)

@@ -34,8 +34,7 @@ class PoseInput:
     ``times_s`` (F,): the frames' times [s] by the client's clock. ``memories``: what the stages keep of the frames
     before. ``sequence``: the number of the first frame. ``dropped``: poses of the stream that newer ones replaced;
     ``arrived_s`` [s]: when the pose came, by a monotonic clock, None where nobody waits; both go into the message's
-    header. ``shown``: the message of the frame that the client shows now; None if the client does not take the word
-    that it still holds (SAME).
+    header. ``shown``: the message that the client shows now; None if it takes no SAME messages.
     """
 
     poses: np.ndarray
@@ -49,7 +48,7 @@ class PoseInput:
     shown: bytes | None = None
 
     def part(self, rows: slice, memories: Memories) -> PoseInput:
-        """The frames ``rows`` of this input, which go on from ``memories``."""
+        """Returns the frames ``rows`` of this input, with ``memories`` of the frames before them."""
         return replace(
             self,
             poses=self.poses[rows],
@@ -61,8 +60,8 @@ class PoseInput:
 
 
 def check_poses(poses: np.ndarray, trans: np.ndarray) -> None:
-    """Refuses rotation vectors (F, 24, 3) [rad] beyond ``ANGLE_LIMIT_RAD`` or that look like degrees, and translations
-    (F, 3) [m] that are too far away. Numbers are finite."""
+    """Refuses (``MotionError``) rotation vectors (F, 24, 3) [rad] beyond ``ANGLE_LIMIT_RAD`` or that look like degrees,
+    translations (F, 3) [m] beyond ``PLACE_LIMIT_M``, and NaN."""
     if len(poses) and np.abs(poses).max() <= PLAIN_RAD:  # nearly all: the checks that name what is wrong take longer
         check_places(trans)
         return
@@ -72,8 +71,8 @@ def check_poses(poses: np.ndarray, trans: np.ndarray) -> None:
 
 
 def _check_unit(poses: np.ndarray) -> None:
-    """Refuses poses (F, 24, 3) whose numbers are those of degrees: no joint of a person turns twice around, several do
-    so at once, and none by more than degrees go."""
+    """Refuses poses (F, 24, 3) that look like degrees: several joints turn more than twice around, which no person's
+    do, and no number is above ``MOST_DEGREES``."""
     angles = np.linalg.norm(poses, axis=-1).max(axis=0, initial=0.0)
     turning = angles[angles > DEGREES_BEYOND_RAD]
     if len(turning) >= DEGREES_JOINTS and angles.max() <= MOST_DEGREES:
@@ -83,7 +82,7 @@ def _check_unit(poses: np.ndarray) -> None:
 
 
 def check_places(trans: np.ndarray) -> None:
-    """Refuses translations (F, 3) [m] that are finite but senseless."""
+    """Refuses (``MotionError``) translations (F, 3) [m] beyond ``PLACE_LIMIT_M``, and NaN."""
     _check_limit("trans", trans, PLACE_LIMIT_M, "m", "Send root translations in metres.")
 
 
@@ -98,7 +97,11 @@ def _check_limit(name: str, array: np.ndarray, limit: float, unit: str, cure: st
 def motion_arrays(
     poses: Sequence[object] | np.ndarray, trans: Sequence[object] | np.ndarray | None, *, max_frames: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Checked poses (F, 24, 3) and translations (F, 3), float64; translations default to zero."""
+    """Returns poses (F, 24, 3) [rad] and translations (F, 3) [m], float64; without ``trans`` these are zeros.
+
+    Refuses (``MotionError``) no frames, another number of translations, and what ``check_poses`` refuses; and
+    (``TooLarge``) more than ``max_frames`` frames.
+    """
     if not len(poses):
         raise MotionError("poses", expected="at least 1 frame", got="0", cure="Send one pose or more.")
     if len(poses) > max_frames:
@@ -119,7 +122,10 @@ def motion_arrays(
 
 
 def shape_array(betas: Sequence[float] | None, body: BodyModel) -> np.ndarray:
-    """Checked shape coefficients (S,), zeros where none were sent; refuses any for an avatar."""
+    """Returns the shape coefficients (S,) float64 of ``body`` [standard deviations], zeros where ``betas`` has none.
+
+    Refuses (``BodyError``) too many, numbers beyond ``BETA_LIMIT``, and any for an avatar.
+    """
     if betas and body.standard_digest:
         raise BodyError("betas", expected="none: an avatar has its own shape", got="some", cure="Leave them out.")
     shape = body.check_betas(np.asarray(betas if betas is not None else [], dtype=np.float64))
@@ -136,7 +142,8 @@ def shape_array(betas: Sequence[float] | None, body: BodyModel) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Jets:
-    """Posed patches of F frames: ``jet`` (F, K, 45), ``rotation`` (F, K, 3, 3) and ``centre`` [m] (F, K, 3) float32."""
+    """Posed patches of F frames, float32: coefficients ``jet`` (F, K, 45) [patch scales], and the frames of the
+    patches, ``rotation`` (F, K, 3, 3) and ``centre`` [m] (F, K, 3) relative to the root."""
 
     jet: np.ndarray
     rotation: np.ndarray
@@ -145,7 +152,8 @@ class Jets:
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """All frames of one garment relative to the roots: vertices [m] (F, V, 3) float32 or jets or both, as needed."""
+    """One garment in all frames, relative to the roots: ``vertices`` [m] (F, V, 3) float32, ``jets``, or both; None is
+    what the plan does not need."""
 
     vertices: np.ndarray | None = None
     jets: Jets | None = None
@@ -156,8 +164,9 @@ class Quality:
     """Figures of each frame (F,).
 
     ``pushed_share`` of the vertices were moved off the skin by the collision projection or by folds, the furthest by
-    ``push_max_m`` [m]. A vertex made of the jets lacks at most ``left_m`` [m] of that. ``folds_resets`` layers began
-    their folds anew. ``novelty`` says how unlike training the pose is; above 1 it is outside (``body.pose_distance``).
+    ``push_max_m`` [m]. Vertices that are made of pushed jets lie at most ``left_m`` [m] from where they should.
+    ``folds_resets`` layers began their folds anew. ``novelty`` says how unlike training the pose is; a pose above 1 is
+    novel (``body.pose_distance``).
     """
 
     pushed_share: np.ndarray
@@ -168,7 +177,7 @@ class Quality:
 
     @staticmethod
     def untouched(frames: int) -> Quality:
-        none = np.zeros(frames)  # of all: arrays are never changed in place
+        none = np.zeros(frames)  # one for all figures, since arrays are never changed in place
         return Quality(none, none, none, none, none)
 
 
@@ -176,10 +185,10 @@ class Quality:
 class Batch:
     """Frames of several clients under one plan, one input's after the other, and what the stages have made so far.
 
-    ``memories``: those of each input, after its frames. ``codes`` (F, C): the codes of moving bodies. ``skin`` (F, R,
-    12, 8): the posed skin samples, where a stage needs them. ``layers``: the garments, the innermost first. ``root``
-    [m] (F, 3) float64: the places of the root joints. ``messages``: the frames' messages. ``steps``: each frame's
-    vertices in steps of their box, where the engine has made these (``drape.wire.quantised``).
+    ``memories``: those of each input, after its frames. ``codes`` (F, C): the codes of motion, None without. ``skin``
+    (F, R, 12, 8): the posed skin samples, where a stage needs them. ``layers``: the garments, the innermost first.
+    ``root`` [m] (F, 3) float64: the places of the root joints. ``messages``: the frames' messages. ``steps``: each
+    frame's vertices as ``drape.wire.quantised.quantise`` returns them, where the engine has made these.
     """
 
     plan: Plan
@@ -195,13 +204,13 @@ class Batch:
 
     @staticmethod
     def of(plan: Plan, inputs: Sequence[PoseInput]) -> Batch:
-        """The batch before its first stage."""
-        frames = sum(len(one.poses) for one in inputs)
-        return Batch(plan, tuple(inputs), tuple(one.memories for one in inputs), Quality.untouched(frames))
+        """Returns the batch of ``inputs`` before its first stage."""
+        frames = sum(len(client.poses) for client in inputs)
+        return Batch(plan, tuple(inputs), tuple(client.memories for client in inputs), Quality.untouched(frames))
 
     @staticmethod
     def of_parts(clip: PoseInput, parts: Sequence[Batch]) -> Batch:
-        """The batch of ``clip``, joined from the batches of its parts."""
+        """Returns the batch of ``clip``, joined of the batches of its ``parts`` in their order."""
         if len(parts) == 1:
             return parts[0]
         layers = [_whole(together) for together in zip(*(part.layers for part in parts), strict=True)]
@@ -215,81 +224,82 @@ class Batch:
         )
 
     def answer(self) -> Batch:
-        """The batch without the arrays that only stages read, and without hidden layers."""
-        of = zip(self.layers, self.plan.visible, strict=bool(self.layers))  # none before the network
-        return changed(
-            self, codes=None, skin=None, steps=(), layers=tuple(layer if seen else Layer() for layer, seen in of)
-        )
+        """Returns the batch as an answer needs it: without codes, skin and steps, and with empty hidden layers."""
+        both = zip(self.layers, self.plan.visible, strict=bool(self.layers))  # there are no layers before the network
+        layers = tuple(layer if visible else Layer() for layer, visible in both)
+        return changed(self, codes=None, skin=None, steps=(), layers=layers)
 
     @property
     def count(self) -> int:
-        """The number of frames."""
+        """Returns the number of frames of all inputs."""
         return len(self.quality.novelty)
 
     def rows(self) -> Iterator[tuple[PoseInput, slice]]:
-        """Each input, with the rows that its frames have in the batch."""
+        """Yields each input with the slice of its frames among those of the batch."""
         start = 0
-        for one in self.inputs:
-            yield one, slice(start, start + len(one.poses))
-            start += len(one.poses)
+        for client in self.inputs:
+            yield client, slice(start, start + len(client.poses))
+            start += len(client.poses)
 
     def remembered(self, key: tuple[str, str]) -> list[Any]:
-        """The memory of each input under ``key``, from a card if it is there; None for an input that has none."""
+        """Returns the memory of each input under ``key``, fetched from a card if it lies there; None where there is
+        none."""
         return [to_processor(memories.get(key)) for memories in self.memories]
 
     def remember(self, key: tuple[str, str], values: Sequence[Any]) -> Batch:
-        """The batch with ``values``, one for each input, stored in the memories under ``key``."""
+        """Returns the batch with ``values``, one for each input, in the memories under ``key``."""
         after = ({**memories, key: value} for memories, value in zip(self.memories, values, strict=True))
         return changed(self, memories=tuple(after))
 
     @property
     def shown(self) -> list[Layer]:
-        """The layers that the answer holds."""
+        """Returns the visible layers, the innermost first."""
         return [layer for layer, seen in zip(self.layers, self.plan.visible, strict=True) if seen]
 
     @property
     def vertices(self) -> np.ndarray:
-        """The vertices [m] (F, V, 3) of the visible layers, one layer after the other, relative to the root."""
+        """Returns the vertices [m] (F, V, 3) of the visible layers, one layer after the other, relative to the
+        roots."""
         return concatenated([layer.vertices for layer in self.shown])
 
     @property
     def jets(self) -> Jets:
-        """The posed patches of the visible layers, one layer after the other."""
+        """Returns the posed patches of the visible layers, one layer after the other."""
         jets = [layer.jets for layer in self.shown if layer.jets is not None]
-        return Jets(*(concatenated([getattr(one, name) for one in jets]) for name in ("jet", "rotation", "centre")))
+        return Jets(*(concatenated([getattr(own, name) for own in jets]) for name in ("jet", "rotation", "centre")))
 
     def placed(self, origin: Origin) -> Placed:
-        """Returns the vertices of the answer: from the world's origin, or relative to the root and with the roots,
-        as ``origin`` says."""
+        """Returns the vertices of the visible layers, counted from the world's origin or from the roots, as ``origin``
+        says."""
         return Placed(self.world()) if origin == "world" else Placed(self.vertices, self.root)
 
     def world(self) -> np.ndarray:
-        """The vertices [m] (F, V, 3) in the world, float32."""
+        """Returns the vertices [m] (F, V, 3) of the visible layers in the world, float32."""
         return (self.vertices + self.root[:, None, :]).astype(np.float32)
 
 
 def changed(record: Record, **values: Any) -> Record:
-    """Returns ``record`` with other ``values``, as ``dataclasses.replace`` does but in a tenth of its time. It is for
-    records without slots that check nothing when made.
-    """
-    made = object.__new__(type(record))
-    vars(made).update(vars(record), **values)
-    return made
+    """Returns a copy of ``record`` with other ``values``, as ``dataclasses.replace`` does but in a tenth of its time.
+    It is for records without slots that check nothing when made."""
+    copy = object.__new__(type(record))
+    vars(copy).update(vars(record), **values)
+    return copy
 
 
 def stacked(arrays: Sequence[np.ndarray]) -> np.ndarray:
-    """Returns ``arrays`` of frames as one (F, ...); the array of a single frame is not copied."""
+    """Returns the ``arrays`` of F frames as one (F, ...); that of a single frame is not copied."""
     return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)
 
 
 def concatenated(parts: Sequence[np.ndarray | None], axis: int = 1) -> np.ndarray:
-    """Joins ``parts`` along ``axis``, without those that are None. If one is left, it is returned as it is."""
+    """Returns ``parts`` joined along ``axis``, without those that are None. A single one is returned as it is."""
     arrays = [part for part in parts if part is not None]
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=axis)
 
 
 def _whole(parts: Sequence[Any]) -> Any:
-    """``parts`` of one kind, with arrays of frames, one after the other."""
+    """One value of all ``parts``: arrays, or dataclasses of arrays, joined along their frames; None if they are
+    None."""
     if parts[0] is None:
         return None
     if isinstance(parts[0], np.ndarray):

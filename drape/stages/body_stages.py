@@ -1,4 +1,4 @@
-"""The stages of one body and the garments that they know: ``BodyStages``."""
+"""The stages of one body, and the garments whose constants they have."""
 
 from __future__ import annotations
 
@@ -14,30 +14,31 @@ from drape.stages.stage import Make, Stage, call_here
 
 
 class BodyStages:
-    """The ``stages`` that drape on ``body``; ``make`` calls a function that takes long."""
+    """The ``stages`` that drape on ``body``. ``make(function, *arguments)`` calls a function that takes long."""
 
     def __init__(self, body: BodyModel, stages: Sequence[Stage] = (), make: Make = call_here) -> None:
         self.body, self.stages, self._make = body, tuple(stages), make
         self._known: set[str] = set()
 
     def feed(self, garment: Garment) -> dict[str, np.ndarray]:
-        """The ``garment_feed`` of ``garment`` on the body; from any thread."""
+        """Returns ``garment_feed`` of ``garment`` on the body: arrays by name. Any thread may call it."""
         return self._make(garment_feed, garment, body=self.body)
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
-        """Lets every stage store ``garment``, whose ``garment_feed`` is ``feed``; by one thread at a time."""
+        """Lets every stage store ``garment``; ``feed`` is what ``feed(garment)`` returned. One thread at a time may
+        call it."""
         for stage in self.stages:
             stage.add(garment, feed)
         self._known.add(garment.digest)
 
     def missing(self, entries: Iterable[Entry]) -> list[Garment]:
-        """The garments of ``entries`` that no stage knows yet, each once, such as a subdivided mesh at its first
-        request."""
+        """Returns the garments of ``entries`` that were not added yet, each once, such as a subdivided mesh at its
+        first request."""
         worn = {entry.garment.digest: entry.garment for entry in entries}
         return [garment for digest, garment in worn.items() if digest not in self._known]
 
     def remove(self, garment: Garment) -> None:
-        """Forgets the constants of ``garment``, if there are any."""
+        """Makes every stage forget ``garment``, if it was added."""
         if garment.digest in self._known:
             self._known.discard(garment.digest)
             for stage in self.stages:

@@ -21,7 +21,7 @@ from drape.wire.options import DrapeOptions
 
 
 class Colliders(Stage):
-    """Moves the vertices of each layer out of the colliders, to the nearest place at the clearance."""
+    """The stage that moves vertices out of colliders, to the nearest place ``CLEARANCE_M`` off them."""
 
     name = "colliders"
 

@@ -39,11 +39,12 @@ if TYPE_CHECKING:
 
 OUTPUT = "pushed"
 JET_OUTPUTS = (OUTPUT, "jet_push", "left")
-KEPT_OUTFITS = 32  # some five megabytes per layer over others
+KEPT_OUTFITS = 32  # constants of a layer over others, some five megabytes each
 
 
 class Collision(Stage):
-    """Pushes the layers out of the body and of each other, the innermost first; in plans of jets it pushes the jets."""
+    """The stage that pushes layers out of the body and of each other, the innermost first; in plans of jets it pushes
+    the jets too."""
 
     name = "collision"
 
@@ -80,15 +81,15 @@ class Collision(Stage):
     def run(self, batch: Batch) -> Batch:
         layers: list[Layer] = []
         ways, left = [], []
-        for count, seen in enumerate(batch.plan.visible, start=1):
+        for count, visible in enumerate(batch.plan.visible, start=1):
             under = concatenated([layer.vertices for layer in layers]) if layers else None
-            before = batch.layers[count - 1].jets if seen else None
+            before = batch.layers[count - 1].jets if visible else None
             parts = [self._pushed(batch, count, under, rows, before) for _, rows in batch.rows()]
-            held = None if before is None else replace(before, jet=concatenated([part.jet for part in parts], axis=0))
-            layers.append(Layer(concatenated([part.vertices for part in parts], axis=0), held))
-            if seen:
+            after = None if before is None else replace(before, jet=concatenated([part.jet for part in parts], axis=0))
+            layers.append(Layer(concatenated([part.vertices for part in parts], axis=0), after))
+            if visible:
                 ways.append(concatenated([part.way_m for part in parts], axis=0))
-            if held is not None:
+            if after is not None:
                 left.append(concatenated([part.left_m for part in parts], axis=0))
         way = concatenated(ways)
         share, furthest = (way > MOVED_M).mean(axis=1), way.max(axis=1)
@@ -97,8 +98,7 @@ class Collision(Stage):
         return changed(batch, layers=tuple(layers), quality=quality)
 
     def _pushed(self, batch: Batch, count: int, under: np.ndarray | None, rows: slice, jets: Jets | None) -> Pushed:
-        """The frames ``rows`` of the layer ``count - 1``, one body's, and of its ``jets`` where they come: as many
-        frames as it has alone."""
+        """The frames ``rows``, those of one body, of the layer ``count - 1`` and of its ``jets``, pushed."""
         layer = batch.layers[count - 1]
         assert layer.vertices is not None and batch.skin is not None
         posed = None if jets is None else Jets(jets.jet[rows], jets.rotation[rows], jets.centre[rows])
@@ -109,7 +109,8 @@ class Collision(Stage):
 
 @dataclass(eq=False)
 class _Stored:
-    """A garment in store: its ``garment_feed``, rest mesh and constants, and what lies over it needs."""
+    """A garment in store: its ``garment_feed`` and rest mesh, its constants over the skin, and the ``sheet`` that
+    layers over it need."""
 
     feed: dict[str, np.ndarray]
     vertices: np.ndarray
@@ -120,10 +121,10 @@ class _Stored:
 
 @dataclass(frozen=True, eq=False)
 class Pushed:
-    """``vertices`` [m] (F, V, 3) that are clear, and how far each was moved, ``way_m`` (F, V).
+    """F frames of a pushed garment: ``vertices`` [m] (F, V, 3) and how far each was moved, ``way_m`` [m] (F, V).
 
-    ``jet`` (F, K, 45) is None unless jets were pushed too. Vertices made of it are clear but for ``left_m`` [m] (F,),
-    the largest distance that one of them still lacks.
+    ``jet`` (F, K, 45) [patch scales] are the pushed jets, None where none were given. Vertices that are made of it lie
+    at most ``left_m`` [m] (F,) from ``vertices``.
     """
 
     vertices: np.ndarray
@@ -133,10 +134,9 @@ class Pushed:
 
 
 class Pusher:
-    """Pushes garments ``clearance_m`` [m] clear of a posed skin and of those below; one thread at a time.
+    """Pushes garments ``clearance_m`` [m] clear of a posed skin and of the garments below; one thread at a time.
 
-    The skin is that of ``body`` in any pose and shape, as the packed graph poses it. Constants are made through
-    ``make``, which calls a function with arguments.
+    The skin is that of ``body`` in any pose and shape. ``make(function, *arguments)`` calls what makes constants.
     """
 
     def __init__(
@@ -154,23 +154,24 @@ class Pusher:
 
     @property
     def held_bytes(self) -> int:
-        """The bytes of the garments' constants on the device that computes."""
-        return sum(_bytes(one.constants) for one in self._stored.values() if one.constants is not None)
+        """Returns the size of the garments' constants over the skin [bytes]."""
+        return sum(_bytes(own.constants) for own in self._stored.values() if own.constants is not None)
 
     def add(self, key: str, feed: dict[str, np.ndarray], vertices: np.ndarray, faces: np.ndarray) -> None:
-        """Puts the garment ``key`` in store: its ``garment_feed``, rest vertices [m] (V, 3) and faces."""
+        """Stores the garment ``key``: ``feed``, its ``garment_feed``, rest ``vertices`` [m] (V, 3) and ``faces`` (T,
+        3)."""
         self._stored[key] = _Stored(feed, vertices, faces)
 
     def remove(self, key: str) -> None:
-        """Forgets the garment ``key`` and every layer that it is part of."""
+        """Forgets the garment ``key``, and the constants of every outfit that it is part of."""
         self._stored.pop(key, None)
         self._layers.forget(key)
 
     def prepare(self, keys: Sequence[str], *, jets: bool = False) -> None:
-        """Makes what is missing of the constants of every garment of an outfit over those before it, and opens what
-        pushes them; with ``jets`` also what pushes jets.
+        """Makes the missing constants of an outfit of the garments ``keys``, the innermost first, and opens the graphs
+        that push it; with ``jets`` those that push jets too.
 
-        It takes a second for each garment, and may be called from any thread.
+        It takes a second for each garment, and any thread may call it.
         """
         self._alone(self._get(keys[0]))
         for count in range(1, len(keys)):
@@ -190,11 +191,12 @@ class Pusher:
         under: np.ndarray | None = None,
         posed: Jets | None = None,
     ) -> Pushed:
-        """Pushes the last garment of ``keys`` out of the posed body and of the other garments, the innermost first.
+        """Returns the last garment of ``keys`` pushed out of the posed body and of the garments before it, which lie
+        below.
 
-        ``vertices`` [m] (F, V, 3) are relative to the root; ``skin`` (F, R, 12, 8) are the body's samples and ``under``
-        [m] (F, U, 3) the pushed vertices of the other garments. If ``posed`` jets of the same vertices are given, they
-        are pushed too. Refuses (``NotFound``) a garment that is not in store.
+        Its ``vertices`` [m] (F, V, 3), the posed ``skin`` samples (F, R, 12, 8) and ``under`` [m] (F, U, 3), the pushed
+        vertices of the garments below, are relative to the roots. ``posed`` are jets of the same vertices, which are
+        then pushed too. Refuses (``NotFound``) a garment that is not in store.
         """
         stored = self._get(keys[-1])
         vertices = np.ascontiguousarray(vertices, dtype=np.float32)
@@ -221,7 +223,8 @@ class Pusher:
         under: np.ndarray | None,
         outputs: Sequence[str],
     ) -> list[np.ndarray]:
-        """The ``outputs`` of the graph that pushes out of the body, or of what is ``under`` too."""
+        """The ``outputs`` of the graph that pushes out of the body, and out of the vertices ``under`` where these
+        are."""
         arrays: dict[str, Value] = {
             SKIN: skin,
             # Of these two the graphs read only how many frames and parts there are.
@@ -270,7 +273,7 @@ class Pusher:
         return stored.sheet
 
     def _values(self, arrays: dict[str, np.ndarray], kind: type[PushFeed | LayerFeed]) -> Constants:
-        """The constants ``arrays`` of a ``kind`` where they are computed with, handed over once."""
+        """The constants ``arrays`` of a ``kind`` for the engine, or on the device of the graphs."""
         if not self._engine.pushes:
             return PushConstants.of(kind.from_flat(arrays))
         return {name: self._engine.value(array) for name, array in arrays.items()}

@@ -1,7 +1,7 @@
 """The message that answers a pose: a frame relative to its root, or for an idle body the last one again.
 
 Nothing is computed for a body whose cloth has come to rest. Its last message, which stands in the stream's memories
-under ``KEY``, is sent again, or the word that it holds, to clients that take it. The memories of the stages grow no
+under ``KEY``, is sent again, or a SAME message in its place. The memories of the stages grow no
 older meanwhile (``Stage.rested``), so that the first frame that moves again goes on from where the cloth hangs.
 """
 
@@ -21,12 +21,12 @@ from drape.wire.options import DrapeOptions
 from drape.wire.quantised import quantise
 
 KEY = ("idle", BODY)
-REST_S = 2.0  # of the same pose, until cloth has come to rest, by the client's clock
-REST_FRAMES = 30  # and frames of it that were computed: a slow stream has fewer in that time
+REST_S = 2.0  # cloth has come to rest after so long in one pose, by the client's clock,
+REST_FRAMES = 30  # and after so many computed frames: a slow stream has fewer in that time
 
 
 class Encode(Stage):
-    """Packs every frame as a FRAME or JETS message with its client's sequence and time."""
+    """The stage that packs every frame as a FRAME or JETS message, with its pose's sequence number and time."""
 
     name = "encode"
 
@@ -39,15 +39,15 @@ class Encode(Stage):
         as_jets = batch.plan.options.geometry == "jets"
         jets = batch.jets if as_jets else None
         vertices = None if as_jets else batch.vertices
-        for one, rows in batch.rows():
-            residence_s = 0.0 if one.arrived_s is None else now - one.arrived_s
+        for client, rows in batch.rows():
+            residence_s = 0.0 if client.arrived_s is None else now - client.arrived_s
             for i, row in enumerate(range(rows.start, rows.stop)):
-                said = {
-                    "sequence": one.sequence + i,
-                    "client_time_s": float(one.times_s[i]),
+                header = {
+                    "sequence": client.sequence + i,
+                    "client_time_s": float(client.times_s[i]),
                     "server_time_s": time.time(),
                     "root": batch.root[row],
-                    "dropped": one.dropped,
+                    "dropped": client.dropped,
                     "residence_us": int(1e6 * residence_s),
                     "pushed": bool(batch.plan.options.advanced.push_out),
                     "stepped": batch.plan.stepped,
@@ -57,23 +57,26 @@ class Encode(Stage):
                 }
                 if jets is not None:
                     posed = {name: array[row] for name, array in vars(jets).items()}
-                    messages.append(pack_jets(JetFrame(**said, **posed, left_m=float(batch.quality.left_m[row]))))
+                    messages.append(pack_jets(JetFrame(**header, **posed, left_m=float(batch.quality.left_m[row]))))
                 elif vertices is not None:
-                    frame = Frame(**said, positions=vertices[row], bits=coordinate_bits(batch.plan.options))
-                    made = quantise if not batch.steps else lambda *_, row=row: batch.steps[row]
-                    messages.append(pack_frame(frame, made))
+                    frame = Frame(**header, positions=vertices[row], bits=coordinate_bits(batch.plan.options))
+                    steps_of = quantise if not batch.steps else lambda *_, row=row: batch.steps[row]
+                    messages.append(pack_frame(frame, steps_of))
         return changed(batch, messages=tuple(messages))
 
 
 def coordinate_bits(options: DrapeOptions) -> int:
-    """Bits of a coordinate in a frame of vertices: 8 of what is far away, which alone has pixels in a plan."""
+    """Returns the bits of a coordinate in a FRAME message under the ``options`` of a plan: 8 for a garment that is far
+    away, which alone has ``pixels_per_m`` there, and 16 otherwise."""
     return 16 if options.pixels_per_m is None else 8
 
 
 @dataclass(frozen=True, eq=False)
 class Idle:
-    """The rest of a body: the time [s] since which it has kept one pose, the number of frames since then, and the last
-    message.
+    """A body that has kept one pose: ``pose`` (24, 3) [rad], ``trans`` (3,) [m] and ``betas`` (S,) under ``plan``.
+
+    ``since_s`` and ``last_s`` are the times [s] of the first and of the last frame in this pose by the client's clock,
+    ``frames`` is the number of computed frames in it, and ``message`` the last of their messages.
     """
 
     pose: np.ndarray
@@ -85,58 +88,60 @@ class Idle:
     frames: int
     message: bytes
 
-    def holds_for(self, plan: Plan, one: PoseInput) -> bool:
-        """Whether ``one`` has the same pose and shape under an equal ``plan``, and is not earlier."""
+    def holds_for(self, plan: Plan, client: PoseInput) -> bool:
+        """Returns whether the first frame of ``client`` has this pose and shape under an equal ``plan``, and is not
+        earlier than the last one."""
         return (
-            np.array_equal(one.poses[0], self.pose)  # what nearly always differs comes first
-            and np.array_equal(one.trans[0], self.trans)
-            and np.array_equal(one.betas, self.betas)
+            np.array_equal(client.poses[0], self.pose)  # what nearly always differs comes first
+            and np.array_equal(client.trans[0], self.trans)
+            and np.array_equal(client.betas, self.betas)
             and plan == self.plan
-            and float(one.times_s[0]) >= self.last_s
+            and float(client.times_s[0]) >= self.last_s
         )
 
 
-def idle_before(plan: Plan, one: PoseInput) -> Idle | None:
-    """The ``Idle`` of the frame before the single frame of ``one``; None if the body has moved."""
-    idle: Idle | None = one.memories.get(KEY)
-    return idle if idle is not None and idle.holds_for(plan, one) else None
+def idle_before(plan: Plan, client: PoseInput) -> Idle | None:
+    """Returns the ``Idle`` that the stream of ``client`` remembers, whose single frame is next; None if there is none
+    or the body has moved."""
+    idle: Idle | None = client.memories.get(KEY)
+    return idle if idle is not None and idle.holds_for(plan, client) else None
 
 
-def answer_again(plan: Plan, one: PoseInput, idle: Idle | None) -> tuple[bytes, Memories] | None:
-    """Returns the message that answers the single frame of ``one`` without computing it, and the memories that follow;
-    None if the body of ``idle`` (``idle_before``) has not come to rest.
+def answer_again(plan: Plan, client: PoseInput, idle: Idle | None) -> tuple[bytes, Memories] | None:
+    """Returns the message that answers the single frame of ``client`` without computing it, and the stream's memories
+    after it; None if the body of ``idle`` (``idle_before``) has not come to rest.
 
     A client that still shows the last frame gets a SAME message. A pause does not count as rest: only computed frames
     bring cloth to rest.
     """
     if idle is None or idle.frames < REST_FRAMES or idle.last_s - idle.since_s < REST_S:
         return None
-    now_s = float(one.times_s[0])
-    residence_us = 0 if one.arrived_s is None else int(1e6 * (time.monotonic() - one.arrived_s))
-    answer = Answer(one.sequence, now_s, time.time(), one.dropped, residence_us)
-    message = pack_same(answer) if one.shown is idle.message else resent(idle.message, answer)
+    now_s = float(client.times_s[0])
+    residence_us = 0 if client.arrived_s is None else int(1e6 * (time.monotonic() - client.arrived_s))
+    answer = Answer(client.sequence, now_s, time.time(), client.dropped, residence_us)
+    message = pack_same(answer) if client.shown is idle.message else resent(idle.message, answer)
     stages = {stage.name: stage for stage in plan.stages}
     rested = {
         key: stages[key[0]].rested(memory, now_s) if key[0] in stages else memory
-        for key, memory in one.memories.items()
+        for key, memory in client.memories.items()
     }
     return message, rested
 
 
 def shown_message(memories: Memories) -> bytes | None:
-    """Returns the computed message that the client of a stream with ``memories`` shows once it has taken all frames;
-    None if there is none."""
+    """Returns the last computed message of the stream that has these ``memories``, which its client shows once it has
+    taken all frames; None if there is none."""
     idle: Idle | None = memories.get(KEY)
     return None if idle is None else idle.message
 
 
-def remember(plan: Plan, one: PoseInput, before: Idle | None, memories: Memories, message: bytes) -> Memories:
-    """Returns ``memories`` with the entry that ``idle_before`` reads at the next frame of the stream.
+def remember(plan: Plan, client: PoseInput, before: Idle | None, memories: Memories, message: bytes) -> Memories:
+    """Returns ``memories`` with the ``Idle`` that ``idle_before`` reads at the next frame of the stream.
 
-    ``one`` is the input of the frame that was just computed, and ``message`` its message. ``before`` is what
-    ``idle_before`` returned for it: the time since when the body stands still goes on from there, or begins now.
+    ``client`` is the input of the frame that was just computed, and ``message`` its message. ``before`` is what
+    ``idle_before`` returned for it; the new ``Idle`` counts on from it, or anew from None.
     """
-    now_s = float(one.times_s[0])
+    now_s = float(client.times_s[0])
     since_s, frames = (now_s, 0) if before is None else (before.since_s, before.frames)
-    idle = Idle(one.poses[0], one.trans[0], one.betas, plan, since_s, now_s, frames + 1, message)
+    idle = Idle(client.poses[0], client.trans[0], client.betas, plan, since_s, now_s, frames + 1, message)
     return {**memories, KEY: idle}

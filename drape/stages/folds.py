@@ -1,4 +1,4 @@
-"""Folds: a few steps of the local solver on the network's drape, from what was left of the frame before."""
+"""Folds: a few steps of the local solver on the network's drape, which go on from the folds of the frame before."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from drape.stages.plan import FINE, SKIN, Plan
 from drape.stages.stage import ClothStage, StageSetup
 from drape.wire.options import DrapeOptions
 
-SETTLE = 8  # times the steps of a frame for one without a past, where clients do not say
-KEPT_BYTES = 256 << 20  # of garments in fabrics, 3 to 8 MB each; what is in use stays
-
+SETTLE = 8  # the factor on the steps of a frame without a past, where clients name none
+KEPT_BYTES = 256 << 20  # limit of the constants of garments in fabrics, 3 to 8 MB each; what is in use stays
 
 Constants = OneLevel | TwoLevel
 
 
 class Folds(ClothStage[Constants]):
-    """Takes steps of folds: lowers the energy of the cloth over the body, from what the frame before has left.
+    """The stage that takes steps of folds: they lower the energy of the cloth over the body, and go on from the folds
+    of the frame before.
 
     With ``cloth_contact``, the default, a garment also keeps off itself and off the layers below. Without it each layer
     is folded by itself, and the push-out parts the layers. A garment that was delivered coarse folds on its subdivided
@@ -49,8 +49,7 @@ class Folds(ClothStage[Constants]):
     kept = (FoldMemory, TwoLevelMemory, LiftMemory, TouchedSamples)
 
     def __init__(self, setup: StageSetup) -> None:
-        # Fabrics beside those in use go.
-        super().__init__(setup, lambda kept: sum(made.nbytes for made in kept) > KEPT_BYTES)
+        super().__init__(setup, lambda kept: sum(constants.nbytes for constants in kept) > KEPT_BYTES)
         self._wrappings: WeakKeyDictionary[Garment, Wrapping] = WeakKeyDictionary()
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
@@ -96,44 +95,44 @@ class Folds(ClothStage[Constants]):
         coarse, worn = plan.options.advanced.coarse, zip(plan.draped_keys, plan.fabrics, strict=True)
         layers = zip(plan.scene.layers, plan.draped_keys, read_layers(plan), strict=True)
         return [
-            *(partial(self._wrapping, one.garment) for one, key, read in layers if read and one.garment.digest != key),
+            *(partial(self._wrapping, own.garment) for own, key, read in layers if read and own.garment.digest != key),
             *(partial(self.constants, key, fabric, coarse=coarse) for key, fabric in worn),
         ]
 
     def steps(self, batch: Batch) -> Iterator[Batch]:
-        """Folds one layer after the other, since a frame without a past takes tens of milliseconds for each."""
+        """Yields the batch after each layer, since a frame without a past takes tens of milliseconds for each."""
         plan = batch.plan
         effort, safe = self.efforts(plan)
         efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty.tolist()]
-        layers, told, lain = list(batch.layers), FoldFigures(len(batch.root)), []
+        layers, figures, folded_layers = list(batch.layers), FoldFigures(len(batch.root)), []
         felt = feel_each_other(plan)
         assert batch.skin is not None
         ground = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
         ceilings = self._ceilings(batch, ground) if felt else [None] * len(layers)
         for i, (key, fabric, ceiling) in enumerate(zip(plan.draped_keys, plan.fabrics, ceilings, strict=True)):
             memories = batch.remembered((self.name, key))
-            made = self.constants(key, fabric, coarse=plan.options.advanced.coarse)
-            layers[i], own, memories, reports = self._folded(batch, i, made, efforts, memories, ground)
-            told.add(reports, len(made.laid.sheet.vertex), seen=plan.visible[i])
-            lain.append(_FoldedLayer(made.laid, own, ground))
+            constants = self.constants(key, fabric, coarse=plan.options.advanced.coarse)
+            layers[i], own, memories, reports = self._folded(batch, i, constants, efforts, memories, ground)
+            figures.add(reports, len(constants.laid.sheet.vertex), visible=plan.visible[i])
+            folded_layers.append(_FoldedLayer(constants.laid, own, ground))
             batch = batch.remember((self.name, key), memories)
             if ceiling is not None:
-                layers[i] = lain[i].below(layers[i], ceiling)
-                ground = raise_skin(ground, lain[i].heights(layers[i]))
+                layers[i] = folded_layers[i].below(layers[i], ceiling)
+                ground = raise_skin(ground, folded_layers[i].heights(layers[i]))
             if i < len(layers) - 1:
-                yield changed(batch, layers=tuple(layers), quality=told.quality(batch.quality))
+                yield changed(batch, layers=tuple(layers), quality=figures.quality(batch.quality))
         folded, read = changed(batch, layers=tuple(layers)), read_layers(plan)
-        if felt and any(read[:-1]):  # what nobody reads need not lie below the others
-            for i, ceiling in enumerate(self._ceilings(folded, lain[0].ground)):
+        if felt and any(read[:-1]):  # a layer that nobody reads need not lie below the others
+            for i, ceiling in enumerate(self._ceilings(folded, folded_layers[0].ground)):
                 if ceiling is not None and read[i]:
-                    layers[i] = lain[i].below(layers[i], ceiling)
+                    layers[i] = folded_layers[i].below(layers[i], ceiling)
         for i, (key, sent) in enumerate(zip(plan.draped_keys, plan.keys, strict=True)):
             if sent != key and read[i]:
                 layers[i] = self.wrapped(layers[i], plan.scene.layers[i].garment)
-        yield changed(batch, layers=tuple(layers), quality=told.quality(batch.quality))
+        yield changed(batch, layers=tuple(layers), quality=figures.quality(batch.quality))
 
     def efforts(self, plan: Plan) -> tuple[FoldEffort, FoldEffort]:
-        """The effort of a frame, and that of one whose pose is novel."""
+        """Returns the effort of a frame under ``plan``, and that of a frame whose pose is novel."""
         options = plan.options.advanced
         assert options.folds is not None and options.settle is not None
         clearance_m = CLEARANCE_M if options.push_out else 0.0
@@ -147,42 +146,44 @@ class Folds(ClothStage[Constants]):
         self,
         batch: Batch,
         i: int,
-        made: Constants,
+        constants: Constants,
         efforts: Sequence[FoldEffort],
         memories: Sequence[Memory | None],
         ground: np.ndarray,
     ) -> tuple[Layer, np.ndarray, list[Memory | None], list[FoldReport]]:
-        """Layer ``i`` with folds over ``ground`` (F, S, 8) by the frames' ``efforts``, the samples that its places are
-        at (F, P), none where layers do not feel each other, the memories of the inputs after it, and a report of each
-        frame."""
+        """Layer ``i`` with folds over the samples ``ground`` (F, S, 8) by the frames' ``efforts``; the sample (F, P)
+        that each place of its cloth lies at, (F, 0) where layers do not feel each other; the memories of the inputs
+        after it; and a report of each frame."""
         drape, felt = batch.layers[i].vertices, feel_each_other(batch.plan)
         assert drape is not None
         folded, own, reports, after = [], [], [], []
-        for (one, rows), memory in zip(batch.rows(), memories, strict=True):
+        for (client, rows), memory in zip(batch.rows(), memories, strict=True):
             for number, row in enumerate(range(rows.start, rows.stop)):
                 solid = seen_from(batch.plan.colliders, batch.root[row])
-                frame = Frame(drape[row], ground[row], float(one.times_s[number]), solid)
-                vertices, memory, report = made.fold(memory, frame, efforts[row])
+                frame = Frame(drape[row], ground[row], float(client.times_s[number]), solid)
+                vertices, memory, report = constants.fold(memory, frame, efforts[row])
                 folded.append(vertices)
-                own += [made.own(memory)] if felt else []
+                own += [constants.own(memory)] if felt else []
                 reports.append(report)
             after.append(memory)
         at = stacked(own) if felt else np.empty((len(drape), 0), np.int32)
         return changed(batch.layers[i], vertices=stacked(folded)), at, after, reports
 
     def _ceilings(self, batch: Batch, skin: np.ndarray) -> list[np.ndarray | None]:
-        """The ceiling (F, S, 5) over ``skin`` (F, S, 8) that is over each layer; None where no layer is."""
-        made: list[np.ndarray | None] = [None]
+        """The ceiling (F, S, 5) over the samples ``skin`` (F, S, 8) that the layers above each layer make; None for the
+        outermost."""
+        ceilings: list[np.ndarray | None] = [None]
         parts = zip(batch.layers, batch.plan.draped_keys, batch.plan.fabrics, strict=True)
         for layer, key, fabric in list(parts)[:0:-1]:
             assert layer.vertices is not None
             outer = self.constants(key, fabric, coarse=batch.plan.options.advanced.coarse).laid
-            over = np.stack([ceiling_over(one, outer, below) for one, below in zip(layer.vertices, skin, strict=True)])
-            made.append(over if made[-1] is None else lower(over, made[-1]))
-        return made[::-1]
+            over = np.stack([ceiling_over(x, outer, below) for x, below in zip(layer.vertices, skin, strict=True)])
+            ceilings.append(over if ceilings[-1] is None else lower(over, ceilings[-1]))
+        return ceilings[::-1]
 
     def wrapped(self, layer: Layer, garment: Garment) -> Layer:
-        """Returns ``layer`` with the delivered mesh of ``garment`` wrapped around its finer cloth."""
+        """Returns ``layer``, whose vertices are those of the fine mesh of ``garment``, with those of the delivered mesh
+        wrapped around them."""
         assert layer.vertices is not None
         wrapping = self._wrapping(garment)
         return changed(layer, vertices=np.stack([wrapping.wrap(cloth) for cloth in layer.vertices]))
@@ -194,7 +195,8 @@ class Folds(ClothStage[Constants]):
         return self._wrappings[garment]
 
     def constants(self, key: str, fabric: Fabric | None, *, coarse: bool | None) -> Constants:
-        """The constants of the garment ``key`` made of ``fabric``."""
+        """Returns the constants of the garment ``key`` made of ``fabric``, None for its own: on one level, or with
+        ``coarse`` on two. They are made at the first call."""
         name = key, "" if fabric is None else fabric.digest, "coarse" if coarse else "fine"
         make = two_level.two_level if coarse else two_level.one_level
         return self._constants.get(name, lambda: self.make(make, self._garments[key], self.body, fabric))
@@ -203,7 +205,7 @@ class Folds(ClothStage[Constants]):
 def check_client_folds(plan: Plan) -> None:
     """Refuses (``InputError``) a plan whose folds no client can make.
 
-    It is one garment that folds on the mesh that is asked for, and it comes as jets.
+    A client folds jets of one garment, without colliders, and on the mesh of the answer.
     """
     layers, fine = plan.scene.layers, plan.scene.fine.layers
     unmet = (
@@ -223,46 +225,46 @@ def feel_each_other(plan: Plan) -> bool:
 
 
 def read_layers(plan: Plan) -> list[bool]:
-    """Whether the delivered mesh of each layer is read; only the push-out reads that of a hidden one."""
-    return [seen or plan.projected for seen in plan.visible]
+    """Returns for each layer whether its delivered mesh is read: a hidden one's is read by the push-out alone."""
+    return [visible or plan.projected for visible in plan.visible]
 
 
 @dataclass(frozen=True, eq=False)
 class _FoldedLayer:
-    """A garment as it lies in F frames: the samples ``own`` (F, P) that its places are at, of the ``ground``
-    (F, S, 8)."""
+    """A folded layer in F frames: its ``cloth``, and the sample ``own`` (F, P) of the ``ground`` (F, S, 8) that each
+    place of the cloth lies at."""
 
-    made: LaidCloth
+    cloth: LaidCloth
     own: np.ndarray
     ground: np.ndarray
 
     def below(self, layer: Layer, ceiling: np.ndarray) -> Layer:
         """``layer``, pressed below the ``ceiling`` (F, S, 5)."""
         assert layer.vertices is not None
-        each = zip(layer.vertices, self.own, self.ground, ceiling, strict=True)
-        return changed(layer, vertices=np.stack([press(one, self.made, *row) for one, *row in each]))
+        frames = zip(layer.vertices, self.own, self.ground, ceiling, strict=True)
+        return changed(layer, vertices=np.stack([press(x, self.cloth, *frame) for x, *frame in frames]))
 
     def heights(self, layer: Layer) -> np.ndarray:
-        """How high [m] (F, S) over the ground ``layer`` lies."""
+        """The height [m] (F, S) of ``layer`` over each sample of the ground."""
         assert layer.vertices is not None
-        each = zip(layer.vertices, self.own, self.ground, strict=True)
-        return np.stack([heights_over(one, self.made, *row) for one, *row in each])
+        frames = zip(layer.vertices, self.own, self.ground, strict=True)
+        return np.stack([heights_over(x, self.cloth, *frame) for x, *frame in frames])
 
 
 class FoldFigures:
-    """Figures of F frames, added up over the layers: folds begun anew, vertices lifted off the skin, the furthest way
-    of one [m], and the number of vertices."""
+    """Figures of F frames, added up over the layers: how many layers began their folds anew (``resets``), how many
+    vertices were ``lifted`` off the skin and how far at most (``lifted_max_m`` [m]), and the number of ``vertices``."""
 
     def __init__(self, frames: int) -> None:
         self.resets, self.lifted, self.lifted_max_m, self.vertices = [0.0] * frames, [0.0] * frames, [0.0] * frames, 0
 
-    def add(self, reports: Sequence[FoldReport], vertices: int, *, seen: bool) -> None:
-        """Adds the ``reports`` of a layer of so many ``vertices``; of a layer that is not ``seen`` only the folds begun
+    def add(self, reports: Sequence[FoldReport], vertices: int, *, visible: bool) -> None:
+        """Adds the frames' ``reports`` of a layer of so many ``vertices``. Of a hidden layer only the folds that began
         anew count."""
-        self.vertices += vertices if seen else 0
+        self.vertices += vertices if visible else 0
         for row, report in enumerate(reports):
             self.resets[row] += report.reset
-            if seen:
+            if visible:
                 self.lifted[row] += vertices * report.lifted_share
                 self.lifted_max_m[row] = max(self.lifted_max_m[row], report.lifted_max_m)
 

@@ -1,7 +1,7 @@
 """Frames that one call of the engine makes of poses: novelty, network, swing, folds, and the message's coordinates.
 
-These stages make the same bits one after the other. What they hand on to each other as objects of Python takes a fifth
-of a T-shirt's frame, most of which is saved here. Their memories are the same too. A card draws such frames of many
+The stages one after the other make the same bits and memories. The objects of Python that they hand on take a fifth of
+a T-shirt's frame, most of which is saved here. A card draws such frames of many
 streams together, and keeps their memories.
 """
 
@@ -35,7 +35,8 @@ NO_EFFORT = FoldEffort(0)
 
 
 class AtOnce(NamedTuple):
-    """The first stages of a plan, which the engine runs in one call a frame."""
+    """The first stages of a plan, which the engine runs in one call a frame; None for those that the plan leaves
+    out."""
 
     novelty: Novelty | None
     network: Network
@@ -44,14 +45,14 @@ class AtOnce(NamedTuple):
 
     @property
     def stages(self) -> list[Stage]:
-        """The stages that the plan has."""
+        """Returns the stages of the plan among these, in their order."""
         return [stage for stage in self if stage is not None]
 
 
 def at_once(plan: Plan) -> AtOnce | None:
     """Returns the stages of ``plan`` that ``drawn`` runs in one call a frame; None if the engine cannot.
 
-    It drapes up to ``MOST_LAYERS`` garments, and later stages may read neither jets nor the skin.
+    It can for up to ``MOST_LAYERS`` garments, where later stages read neither jets nor the skin.
     """
     if "at_once" not in plan.kept:
         plan.kept["at_once"] = _at_once(plan)
@@ -59,25 +60,26 @@ def at_once(plan: Plan) -> AtOnce | None:
 
 
 def _at_once(plan: Plan) -> AtOnce | None:
-    found = {type(stage): stage for stage in plan.stages}
-    novelty, network, swing, folds = (found.get(kind) for kind in (Novelty, Network, Swing, Folds))
+    by_kind = {type(stage): stage for stage in plan.stages}
+    novelty, network, swing, folds = (by_kind.get(kind) for kind in (Novelty, Network, Swing, Folds))
     if not isinstance(network, Network) or not network.in_engine:
         return None
-    made = AtOnce(novelty, network, swing, folds)  # pyright: ignore[reportArgumentType]
-    first, rest = plan.stages[: len(made.stages)], plan.stages[len(made.stages) :]
-    if len(plan.draped) > MOST_LAYERS or len(set(plan.draped_keys)) < len(plan.draped) or list(first) != made.stages:
+    stages = AtOnce(novelty, network, swing, folds)  # pyright: ignore[reportArgumentType]
+    first, rest = plan.stages[: len(stages.stages)], plan.stages[len(stages.stages) :]
+    if len(plan.draped) > MOST_LAYERS or len(set(plan.draped_keys)) < len(plan.draped) or list(first) != stages.stages:
         return None
-    return None if "jets" in plan.needs or any(SKIN in stage.needs(plan) for stage in rest) else made
+    return None if "jets" in plan.needs or any(SKIN in stage.needs(plan) for stage in rest) else stages
 
 
 def drawn(
     batch: Batch, stages: AtOnce, took: Callable[[str, float], None] = lambda name, s: None
 ) -> Iterator[Batch] | None:
-    """Yields ``batch`` after each frame, the last one with all that ``stages`` make.
+    """Returns an iterator that yields ``batch`` after each frame, at last with the layers, memories and figures of
+    ``stages``.
 
-    Returns None where the stages must run by themselves: cloth that was lifted alone begins to fold, layers settle, or
-    the network shares the frames out between threads. ``took`` is called with the name of each stage and its share of
-    the time [s].
+    Returns None where the stages must run one after the other: cloth that was only lifted begins to fold, several
+    layers settle, or the network shares the frames out between threads. ``took`` is called with the name of each stage
+    and its share of the time [s].
     """
     lane, outfit = stages.network.lane, _outfit(batch.plan, stages)
     pasts = [
@@ -99,7 +101,7 @@ def drawn(
 
 
 def _here(past: Past) -> Past:
-    """What a processor goes on from, from a card if it is there."""
+    """``past`` in the memory of this machine, fetched from a card if it lies there."""
     return Past(*map(to_processor, past))
 
 
@@ -108,13 +110,13 @@ def _lifted(past: Past) -> bool:
 
 
 def _outfit(plan: Plan, stages: AtOnce) -> FrameOutfit:
-    """What drapes the garments of ``plan``: made anew where constants are others than in the frame before."""
+    """The garments of ``plan`` as the engine draws them; those of the frame before unless constants have changed."""
     options = plan.options
     rows = stages.network.rows(plan)
-    each = list(zip(plan.draped_keys, plan.fabrics, strict=True))
-    swings = [None if stages.swing is None else stages.swing.constants(*one) for one in each]
+    dressed = list(zip(plan.draped_keys, plan.fabrics, strict=True))
+    swings = [None if stages.swing is None else stages.swing.constants(*own) for own in dressed]
     coarse = options.advanced.coarse
-    folds = [None if stages.folds is None else stages.folds.constants(*one, coarse=coarse) for one in each]
+    folds = [None if stages.folds is None else stages.folds.constants(*own, coarse=coarse) for own in dressed]
     known: FrameOutfit | None = plan.kept.get("worn")
     made_of = [(row.patches, swing, fold) for row, swing, fold in zip(rows, swings, folds, strict=True)]
     if known is not None and all(
@@ -142,15 +144,15 @@ def _outfit(plan: Plan, stages: AtOnce) -> FrameOutfit:
         for row, swing, fold, read in zip(rows, swings, folds, read_layers(plan), strict=True)
     ]
     alike: Any = stages.network.drawn_alike
-    garments = tuple(alike.setdefault(identity(made), made) for made in garments)
-    made = FrameOutfit(garments, plan.visible, _step_count(plan, stages))
-    plan.kept["worn"] = alike.setdefault(identity(made), made)
+    garments = tuple(alike.setdefault(identity(garment), garment) for garment in garments)
+    outfit = FrameOutfit(garments, plan.visible, _step_count(plan, stages))
+    plan.kept["worn"] = alike.setdefault(identity(outfit), outfit)
     return plan.kept["worn"]
 
 
 def _step_count(plan: Plan, stages: AtOnce) -> int:
-    """The last step of coordinates in the message; 0 where another stage or a wrapping changes vertices before it, or
-    there is none."""
+    """The highest step of a coordinate in the message; 0 where there is no message, or where another stage or a
+    wrapping changes vertices before it."""
     behind = plan.stages[len(stages.stages) :]
     if plan.keys != plan.draped_keys or not behind or not isinstance(behind[0], Encode):
         return 0
@@ -169,8 +171,8 @@ def _drawn(
     moments = list(_moments(batch, stages, root))
     begun_s = time.perf_counter()
     if lane is not None:
-        found, vertices, steps = draw_by_card(lane, outfit, pasts, moments)
-        frames = [_checked(stages, made) for made in found]
+        by_card, vertices, steps = draw_by_card(lane, outfit, pasts, moments)
+        frames = [_checked(stages, frame) for frame in by_card]
         ends = np.cumsum([len(own) for own in moments])
         pasts = [frames[end - 1].pasts for end in ends]
         spent_s = _shares(frames, time.perf_counter() - begun_s)
@@ -186,57 +188,57 @@ def _drawn(
                 took_s = _shares(frames[row:], time.perf_counter() - begun_s)
                 spent_s = [spent + own_s for spent, own_s in zip(spent_s, took_s, strict=True)]
                 yield batch
-    boxes = [(made.low, made.step) for made in frames]
+    boxes = [(frame.low, frame.step) for frame in frames]
     quantised = tuple((own, *box) for own, box in zip(steps, boxes, strict=True)) if outfit.step_count else ()
     layers = (Layer(vertices),) if len(outfit.rows) == 1 else tuple(Layer(vertices[:, rows]) for rows in outfit.rows)
     batch = changed(batch, root=root, layers=layers, steps=quantised)
-    yield _told(batch, stages, outfit, frames, pasts)
+    yield _with_outcomes(batch, stages, outfit, frames, pasts)
     for name, spent in zip(PARTS, spent_s, strict=True):
         if name in [stage.name for stage in stages.stages]:
             took(name, spent)
 
 
 def _moments(batch: Batch, stages: AtOnce, root: np.ndarray) -> Iterator[list[Moment]]:
-    """Yields the moments of each input, of which the ``root`` (F, 3) [m] is written."""
-    for one, rows in batch.rows():
-        feed, place = stages.network.posed_by(one.betas)
-        np.add(one.trans, place, out=root[rows])
-        poses, times_s = np.ascontiguousarray(one.poses, np.float64), one.times_s.tolist()
+    """Yields the moments of each input, and writes the places of their root joints into ``root`` (F, 3) [m]."""
+    for client, rows in batch.rows():
+        feed, place = stages.network.feed_of(client.betas)
+        np.add(client.trans, place, out=root[rows])
+        poses, times_s = np.ascontiguousarray(client.poses, np.float64), client.times_s.tolist()
         yield [
             Moment(feed, pose, time_s, here, seen_from(batch.plan.colliders, here))
             for pose, time_s, here in zip(poses, times_s, root[rows], strict=True)
         ]
 
 
-def _checked(stages: AtOnce, made: FrameResult | None) -> FrameResult:
-    check_finite(stages.network.engine, made is not None)
-    assert made is not None
-    return made
+def _checked(stages: AtOnce, frame: FrameResult | None) -> FrameResult:
+    check_finite(stages.network.engine, frame is not None)
+    assert frame is not None
+    return frame
 
 
 def _shares(frames: Sequence[FrameResult], took_s: float) -> list[float]:
-    """The time that each of ``PARTS`` had of what frames took."""
-    ticks = [sum(own) for own in zip(*(made.ticks for made in frames), strict=True)]
+    """The time [s] of each of ``PARTS`` in ``frames``, which took ``took_s`` [s] together."""
+    ticks = [sum(own) for own in zip(*(frame.ticks for frame in frames), strict=True)]
     tick_s = took_s / max(sum(ticks), 1)
     return [tick_s * own for own in ticks]
 
 
-def _told(
+def _with_outcomes(
     batch: Batch, stages: AtOnce, outfit: FrameOutfit, frames: list[FrameResult], pasts: list[tuple[Past, ...]]
 ) -> Batch:
-    """``batch`` with what its ``frames`` leave and tell, wrapped around finer cloth where that was draped."""
-    plan, quality, layers, told = batch.plan, batch.quality, list(batch.layers), FoldFigures(len(frames))
+    """``batch`` with the memories and figures of its ``frames``, and with delivered meshes wrapped around fine ones."""
+    plan, quality, layers, figures = batch.plan, batch.quality, list(batch.layers), FoldFigures(len(frames))
     if stages.novelty is not None:
-        quality = changed(quality, novelty=np.array([made.novelty for made in frames], np.float32))
-    each = zip(plan.draped_keys, plan.keys, outfit.garments, read_layers(plan), strict=True)
-    for i, (key, sent, worn, read) in enumerate(each):
+        quality = changed(quality, novelty=np.array([frame.novelty for frame in frames], np.float32))
+    garments = zip(plan.draped_keys, plan.keys, outfit.garments, read_layers(plan), strict=True)
+    for i, (key, sent, worn, read) in enumerate(garments):
         if worn.swing is not None:
             batch = batch.remember(("swing", key), [own[i].swung for own in pasts])
         if stages.folds is None or worn.folds is None:
             continue
         batch = batch.remember(("folds", key), [own[i].folded for own in pasts])
-        reports = [report for made in frames if (report := made.reports[i]) is not None]
-        told.add(reports, len(worn.folds.laid.sheet.vertex), seen=plan.visible[i])
+        reports = [report for frame in frames if (report := frame.reports[i]) is not None]
+        figures.add(reports, len(worn.folds.laid.sheet.vertex), visible=plan.visible[i])
         if sent != key and read:
             layers[i] = stages.folds.wrapped(layers[i], plan.scene.layers[i].garment)
-    return changed(batch, quality=told.quality(quality) if outfit.folds else quality, layers=tuple(layers))
+    return changed(batch, quality=figures.quality(quality) if outfit.folds else quality, layers=tuple(layers))

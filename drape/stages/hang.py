@@ -1,4 +1,4 @@
-"""What hangs on the cloth that was draped in its place (``drape.garment.bound``), and what bones carry."""
+"""Drawn meshes that hang on the draped cloth (``drape.garment.bound``), and hats and shoes that bones carry."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from drape.stages.stage import KeptConstants, Stage, StageSetup
 
 
 class Hang(Stage):
-    """Draws garments whose file is no single layer of cloth, and moves hats and shoes with their bones."""
+    """The stage that moves the drawn mesh of a garment whose file is no single layer of cloth, and hats and shoes with
+    their bones."""
 
     name = "hang"
 
@@ -46,9 +47,9 @@ class Hang(Stage):
         """The drawn vertices [m] (F, D, 3) of what bones carry, relative to the roots, float32."""
         at_rest, rows = self._carried.get((garment.digest,), lambda: self._carrying(garment))
         frames = []
-        for one, _ in batch.rows():
-            joints = self.body.rest_joints(one.betas)
-            rotations, translations = self.body.bones(one.poses, None, one.betas)
+        for client in batch.inputs:
+            joints = self.body.rest_joints(client.betas)
+            rotations, translations = self.body.bones(client.poses, None, client.betas)
             placed = at_rest + (joints - self.body.joints_template)[rows]
             frames.append(np.einsum("fvab,vb->fva", rotations[:, rows], placed) + translations[:, rows] - joints[0])
         return np.concatenate(frames).astype(np.float32)

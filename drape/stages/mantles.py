@@ -13,7 +13,7 @@ from drape.stages.stage import KeptConstants, Stage, StageSetup
 
 
 class Mantles(Stage):
-    """Lays mantles over the arms in place of the network, which has learned nothing of such cloth."""
+    """The stage that lays mantles over the arms in place of the network, which has learned nothing of such cloth."""
 
     name = "mantles"
 
@@ -22,8 +22,8 @@ class Mantles(Stage):
         self._bindings = KeptConstants[BodyBinding]()
 
     def wanted(self, plan: Plan) -> bool:
-        worn_ones = any(entry.garment.arm_ways is not None for entry in plan.scene.layers)
-        return worn_ones and plan.options.geometry == "vertices"
+        has_mantle = any(entry.garment.arm_ways is not None for entry in plan.scene.layers)
+        return has_mantle and plan.options.geometry == "vertices"
 
     def needs(self, plan: Plan) -> frozenset[str]:
         return frozenset({"vertices"})
@@ -44,7 +44,7 @@ class Mantles(Stage):
         count = garment.vertex_count
         binding = self._bindings.get((garment.digest,), lambda: self._delivered(garment))
         rest, ways = garment.vertices[:count].astype(np.float64), garment.arm_ways[:count]
-        frames = [worn(rest, ways, binding, self.body, one.poses, one.betas) for one in batch.inputs]
+        frames = [worn(rest, ways, binding, self.body, client.poses, client.betas) for client in batch.inputs]
         return np.concatenate(frames).astype(np.float32)
 
     def _delivered(self, garment: Garment) -> BodyBinding:

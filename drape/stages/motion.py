@@ -30,7 +30,7 @@ JUMP_M_S = 25.0
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """The kinematics of a body (24, ...) at a time [s] of its client's clock."""
+    """The kinematics of a body's 24 joints at a time [s] of its client's clock."""
 
     time_s: float
     at: Kinematics
@@ -46,12 +46,12 @@ class Memory:
 
     @staticmethod
     def empty(engine: Engine) -> Memory:
-        """The memory of a body that has not been seen yet: no motion, the static drape."""
+        """Returns the memory of a body before its first frame: no moments, and zeros, which give the static drape."""
         return Memory((), np.zeros(engine.state_size, np.float32), np.zeros(engine.code_size, np.float32))
 
 
 class Motion(Stage):
-    """Gives every frame the code of its body's motion, multiplied by the knob."""
+    """The stage that gives every frame the code of its body's motion, multiplied by the knob."""
 
     name = "motion"
     key = (name, BODY)
@@ -74,24 +74,26 @@ class Motion(Stage):
         return bool(plan.options.knob) and plan.options.advanced.inertia == "network"
 
     def rested(self, memory: Memory, time_s: float) -> Memory:
-        """Returns ``memory`` with its moments moved on to ``time_s`` [s], as long apart as they were."""
+        """Returns ``memory`` with its two moments moved in time, so that the latest one is at ``time_s`` [s]."""
         if not memory.moments:
             return memory
         later_s = time_s - memory.moments[0].time_s
-        return replace(memory, moments=tuple(replace(one, time_s=one.time_s + later_s) for one in memory.moments))
+        return replace(
+            memory, moments=tuple(replace(moment, time_s=moment.time_s + later_s) for moment in memory.moments)
+        )
 
     def run(self, batch: Batch) -> Batch:
-        """Returns the batch with the code of each frame (F, C), multiplied by the knob.
+        """Returns the batch with ``codes`` (F, C), the code of each frame's motion multiplied by the knob.
 
         Frames are computed one after the other, since each needs the state after the one before. The inputs of one
         frame go through the network together.
         """
         knob = np.float32(batch.plan.options.knob)
         memories = [memory or Memory.empty(self.engine) for memory in batch.remembered(self.key)]
-        bodies = [moments(self.body, one.poses, one.trans, one.betas) for one in batch.inputs]
-        codes = [np.zeros((len(one.poses), self.engine.code_size), np.float32) for one in batch.inputs]
-        for frame in range(max(len(one.poses) for one in batch.inputs)):
-            rows = [i for i, one in enumerate(batch.inputs) if frame < len(one.poses)]
+        bodies = [moments(self.body, own.poses, own.trans, own.betas) for own in batch.inputs]
+        codes = [np.zeros((len(own.poses), self.engine.code_size), np.float32) for own in batch.inputs]
+        for frame in range(max(len(own.poses) for own in batch.inputs)):
+            rows = [i for i, own in enumerate(batch.inputs) if frame < len(own.poses)]
             now = [Moment(float(batch.inputs[i].times_s[frame]), bodies[i][frame]) for i in rows]
             after = advance(self.engine, [memories[i] for i in rows], now)
             for i, memory in zip(rows, after, strict=True):
@@ -101,11 +103,10 @@ class Motion(Stage):
 
 
 def advance(engine: Engine, memories: Sequence[Memory], moments: Sequence[Moment]) -> list[Memory]:
-    """Every memory after its client's next moment; all that move go through the network in one run.
+    """Returns each of ``memories`` after the next of ``moments``, that of the same body; the network runs once for all.
 
-    A body is taken as seen for the first time, with a state and a code of zero, where it jumps, or
-    its time goes back or leaps; a moment at the same time as the last changes nothing. Three
-    moments are needed before motion counts.
+    A body begins anew, with zeros for state and code, where it jumps, or where its time goes back or leaps. A moment at
+    the time of the last one changes nothing. Motion counts from the third moment on.
     """
     after = [_seen(engine, memory, moment) for memory, moment in zip(memories, moments, strict=True)]
     moving = [i for i, memory in enumerate(after) if memory is not memories[i] and len(memory.moments) == 3]

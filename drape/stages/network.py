@@ -1,6 +1,6 @@
-"""The network's drape of every garment: poses and codes in, vertices or posed jets out, through the packed graph.
+"""The network's drape of every garment: poses and codes in, vertices or posed jets out.
 
-And how far poses are from those that it learned from (``drape.body.pose_distance``): folds do more for novel ones.
+Another stage says how far poses are from training (``drape.body.pose_distance``): folds do more for novel ones.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ SHAPES: dict[frozenset[str], Shape] = {
     frozenset({"jets"}): "jets",
     frozenset({"vertices", "jets"}): "both",
 }
-SHAPES_KEPT = 64  # bodies' rest joints, a kilobyte each
+SHAPES_KEPT = 64  # body shapes whose constants stay, a kilobyte each
 
 
 class Novelty(Stage):
-    """Scores how novel the poses of all inputs are, if the model has the poses that it was trained on."""
+    """The stage that gives every frame the novelty of its pose, if the model has the poses that it was trained on."""
 
     name = "novelty"
 
@@ -53,14 +53,14 @@ class Novelty(Stage):
 
     def run(self, batch: Batch) -> Batch:
         assert self.kept_poses is not None
-        found = novelty(self.kept_poses, concatenated([one.poses for one in batch.inputs], axis=0))
-        return changed(batch, quality=changed(batch.quality, novelty=found))
+        scores = novelty(self.kept_poses, concatenated([client.poses for client in batch.inputs], axis=0))
+        return changed(batch, quality=changed(batch.quality, novelty=scores))
 
 
 class Network(Stage):
-    """Drapes all frames of all garments in one call of the packed graph, of no more than the plan needs.
+    """The stage that drapes all frames of all garments by the network, and no more of them than the plan needs.
 
-    The posed skin has one provider: that graph, by bones; or the body itself, where it has pose blend shapes.
+    The network also poses the skin samples by bones; a body with pose blend shapes poses them itself.
     """
 
     name = "network"
@@ -68,7 +68,9 @@ class Network(Stage):
     def __init__(self, setup: StageSetup) -> None:
         super().__init__(setup)
         self.lane = setup.lane
-        self.drawn_alike = WeakValueDictionary[tuple[Any, ...], FrameGarment | FrameOutfit]()  # by what plans share
+        self.drawn_alike = WeakValueDictionary[
+            tuple[Any, ...], FrameGarment | FrameOutfit
+        ]()  # one object for all plans that draw alike
         self.packer = WholeGraph(self.engine, self.body) if self.engine.whole else Packer(self.engine, self.body)
         body = setup.body  # not ``self``: a stage in a ring stays until the collector comes, which is seldom
         self._shape = lru_cache(SHAPES_KEPT)(lambda betas: pack_body(body, np.frombuffer(betas, np.float64)))
@@ -106,8 +108,8 @@ class Network(Stage):
         return self.packer.held_bytes
 
     def records(self, plan: Plan) -> dict[str, Any]:
-        """Returns the records of the engine, by their names, from which a client computes the network for the one
-        garment of ``plan``.
+        """Returns the engine's records by name, by which a client computes the network for the one garment of ``plan``
+        (``CompiledNetwork.records``).
 
         Refuses (``ArtifactError``) a model of a kind that the engine does not compute.
         """
@@ -120,38 +122,38 @@ class Network(Stage):
 
     @property
     def in_engine(self) -> bool:
-        """Whether the engine computes the network and the skin of its bodies."""
+        """Returns whether the engine computes the network and poses the skin samples."""
         return self.engine.compiled is not None and self._skin_in_graph
 
     @property
     def on_one_thread(self) -> bool:
-        """Whether the engine drapes one frame after the other."""
+        """Returns whether one thread drapes all frames."""
         return not isinstance(self.packer, Packer) or self.packer.one_thread
 
-    def posed_by(self, betas: np.ndarray) -> tuple[BodyFeed, np.ndarray]:
-        """Returns the engine's input for a body of the shape ``betas`` (S,), its pose left open, and the rest place of
-        its root [m] (3,)."""
+    def feed_of(self, betas: np.ndarray) -> tuple[BodyFeed, np.ndarray]:
+        """Returns the body in the shape ``betas`` (S,) as the engine reads it, in no pose yet, and the place of its
+        root joint at rest [m] (3,)."""
         key = np.asarray(betas, np.float64).tobytes()
         feed = self._feed(key)
         assert feed is not None
         return feed, self._shape(key).root
 
     def rows(self, plan: Plan) -> list[GarmentRows]:
-        """The constants of the garments of ``plan`` in the engine."""
+        """Returns the constants of the garments that ``plan`` drapes, as the engine reads them."""
         assert isinstance(self.packer, Packer)
         return [self.packer.rows(key) for key in self._dressed(plan)]
 
     def run(self, batch: Batch) -> Batch:
         plan, needs = batch.plan, batch.plan.needs
-        shapes = [self._shape(np.asarray(one.betas, np.float64).tobytes()) for one in batch.inputs]
-        parts = [shape.rows(one.poses) for shape, one in zip(shapes, batch.inputs, strict=True)]
+        shapes = [self._shape(np.asarray(own.betas, np.float64).tobytes()) for own in batch.inputs]
+        parts = [shape.rows(own.poses) for shape, own in zip(shapes, batch.inputs, strict=True)]
         bodies = {name: concatenated([part[name] for part in parts], axis=0) for name in parts[0]}
-        root = concatenated([one.trans + shape.root for shape, one in zip(shapes, batch.inputs, strict=True)], axis=0)
+        root = concatenated([own.trans + shape.root for shape, own in zip(shapes, batch.inputs, strict=True)], axis=0)
         if batch.codes is not None:
             bodies["dynamic_code"] = batch.codes
         skin = None
         if not self._skin_in_graph and (self.engine.feels_body or SKIN in needs):
-            skin = np.concatenate([posed_table(self.body, one.poses, one.betas) for one in batch.inputs])
+            skin = np.concatenate([posed_table(self.body, own.poses, own.betas) for own in batch.inputs])
         if skin is not None and self.engine.feels_body:
             bodies[SKIN] = skin
         scene = self._scene(plan)

@@ -16,8 +16,8 @@ Origin = Literal["world", "root"]
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """``vertices`` [m] (F, V, 3) float32 that count from the world's origin, or where ``roots`` [m] (F, 3) float64 are
-    given from these; the axes are the world's either way."""
+    """``vertices`` [m] (F, V, 3) float32 in the world's axes, counted from each frame's root in ``roots`` [m] (F, 3)
+    float64, or from the world's origin where these are None."""
 
     vertices: np.ndarray
     roots: np.ndarray | None = None
@@ -28,12 +28,12 @@ class Placed:
 
     @property
     def rounding_m(self) -> float:
-        """The most [m] by which rounding to float32 moves a coordinate: half a step of the largest one."""
+        """Returns the most [m] by which rounding to float32 moves a coordinate: half a step of the largest one."""
         return 0.5 * float(np.spacing(np.abs(self.vertices).max(initial=0.0)))
 
     @property
     def headers(self) -> dict[str, str]:
-        """The headers of the answer."""
+        """Returns the HTTP headers of an answer: numbers of frames and vertices, origin, and rounding [m]."""
         return {
             "X-Drape-Frames": str(len(self.vertices)),
             "X-Drape-Vertices": str(self.vertices.shape[1]),
@@ -43,20 +43,19 @@ class Placed:
 
     @property
     def tail(self) -> bytes:
-        """The bytes after the vertices in a binary answer: the roots, little-endian float64."""
+        """Returns the bytes after the vertices in a binary answer: the roots as little-endian float64, none without."""
         return b"" if self.roots is None else self.roots.astype("<f8").tobytes()
 
     def counted_from(self, root: np.ndarray) -> Placed:
-        """Returns the same vertices, counted from one point for all frames and without roots.
-
-        The point is ``root`` [m] (3,) if they count from roots, and the world's origin if they do not.
-        """
+        """Returns the vertices counted from ``root`` [m] (3,) in all frames; those without ``roots`` stay as they
+        are."""
         if self.roots is None:
             return self
         return Placed((self.vertices + (self.roots - root)[:, None]).astype(np.float32))
 
     def from_first(self) -> tuple[np.ndarray, np.ndarray]:
-        """The vertices (F, V, 3), counted from one point [m] (3,) for the whole clip: the first root, or the origin."""
+        """Returns the vertices [m] (F, V, 3) counted from one point for all frames, and this point [m] (3,): the first
+        root, or the world's origin without ``roots``."""
         if self.roots is None:
             return self.vertices, np.zeros(3)
         return self.vertices + (self.roots - self.roots[0])[:, None], self.roots[0]

@@ -1,4 +1,4 @@
-"""What frames take: the plan of a scene under its options, and how it is made."""
+"""The plan of a scene under its options: what is draped, and the stages that its frames take."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class StageRules:
     """The rules of a stage on plans and on its memories; ``drape.stages.stage.Stage`` adds what it does to frames."""
 
     name: ClassVar[str]
-    kept: ClassVar[tuple[type, ...]] = ()  # the classes of what it remembers, which streams take to other processes
+    kept: ClassVar[tuple[type, ...]] = ()  # the classes of its memories, which streams take to other processes
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
-        """Options that this stage reads, by name, with the values that hold where clients left them open.
+        """Returns values for the options that this stage reads, by name, filled in where ``options`` leave them open.
 
         Refuses (``InputError``) what the model cannot do.
         """
@@ -37,36 +37,37 @@ class StageRules:
         """Refuses (``InputError``) a plan that this stage cannot follow."""
 
     def wanted(self, plan: Plan) -> bool:
-        """Whether frames of ``plan`` take this stage."""
+        """Returns whether frames of ``plan`` take this stage."""
         return True
 
     def needs(self, plan: Plan) -> frozenset[str]:
-        """The network's outputs that it reads: "vertices", "jets", "skin"; and "fine" for the subdivided meshes."""
+        """Returns which of "vertices", "jets" and "skin" it reads, and "fine" if it needs the subdivided meshes
+        draped."""
         return frozenset()
 
     def joins_layers(self, plan: Plan) -> bool:
-        """Whether a layer feels those below it here."""
+        """Returns whether a layer feels the layers below it in this stage."""
         return False
 
     def presses_layers(self, plan: Plan) -> bool:
-        """Whether a layer gives way here to those above it."""
+        """Returns whether a layer gives way to the layers above it in this stage."""
         return False
 
     def depends_on(self, plan: Plan) -> object:
-        """The part of the options that its memories hold for: they are forgotten where it changes."""
+        """Returns a value that can be compared, made of ``plan``: memories are forgotten where it changes."""
         return None
 
     def rested(self, memory: Any, time_s: float) -> Any:
-        """Returns ``memory`` as it would be after another frame, at ``time_s`` [s], of a body and of cloth that stand
-        still."""
+        """Returns ``memory`` as it is at ``time_s`` [s] if body and cloth have stood still since."""
         return memory
 
     def parts(self, plan: Plan) -> Sequence[Callable[[], object]]:
-        """Returns calls that make what the frames of ``plan`` need and takes long: from any thread, in any order."""
+        """Returns functions without arguments that make the constants which frames of ``plan`` need. They take long;
+        any thread may call them, in any order."""
         return ()
 
     def prepare(self, plan: Plan) -> None:
-        """Makes all ``parts`` of what the frames of ``plan`` need."""
+        """Makes all constants that frames of ``plan`` need: calls its ``parts``."""
         for part in self.parts(plan):
             part()
 
@@ -75,13 +76,12 @@ class StageRules:
 class Plan:
     """A scene and the options for it, nothing left open: frames of equal plans are computed together.
 
-    ``scene`` holds what must be draped, among it hidden garments that visible ones feel; ``shown`` is what comes.
-    ``fabrics``: what each layer of the scene is made of, None for the garment's own. ``stages``: those that the plan
-    takes, in their order. ``needs``: what of "vertices", "jets" and "skin" these and the answer read; the network makes
-    nothing else. ``draped``: what the network drapes, the scene's garments or, where a stage needs "fine", their
-    subdivided meshes; that stage leaves the scene's. ``messages``: frames leave as messages of the wire. ``stepped``:
-    the service is under load and computes less than was asked for. ``carried``: no step of folds runs; those of the
-    frames before fade.
+    ``scene`` has the garments that must be draped, hidden ones included that visible ones feel. ``fabrics``: the fabric
+    of each of its layers, None for the garment's own. ``stages``: those that frames take, in their order. ``needs``:
+    which of "vertices", "jets" and "skin" the stages and the answer read; the network makes nothing else. ``draped``:
+    the garments that the network drapes: the scene's, or their subdivided meshes where a stage needs "fine", which then
+    returns to the scene's. ``messages``: frames become messages of the wire. ``stepped``: the service is under load and
+    computes less than was asked for. ``carried``: no steps of folds run, and the folds of the frames before fade.
     """
 
     scene: Scene
@@ -92,83 +92,86 @@ class Plan:
     stepped: bool = False
     carried: bool = False
     draped: tuple[Entry, ...] = ()
-    fabrics: tuple[Fabric | None, ...] = field(default=(), compare=False)  # of options and scene
+    fabrics: tuple[Fabric | None, ...] = field(default=(), compare=False)  # they follow from options and scene
 
     @cached_property
     def kept(self) -> dict[str, Any]:
-        """A store for what is made once for all frames of this plan (``drape.stages.frame``); empty at first."""
+        """Returns a store, empty at first, for what is made once for all frames of this plan
+        (``drape.stages.frame``)."""
         return {}
 
     @cached_property
     def keys(self) -> tuple[str, ...]:
-        """Digests of the garments, the innermost first."""
+        """Returns the digests of the scene's garments, the innermost first."""
         return tuple(entry.garment.digest for entry in self.scene.layers)
 
     @cached_property
     def known(self) -> tuple[Entry, ...]:
-        """The garments whose constants its stages take: what the network drapes, and the scene's where the projection
-        moves these."""
+        """Returns the garments whose constants the stages read: ``draped``, and the scene's where the collision
+        projection runs."""
         return (*(self.scene.layers if self.projected else ()), *self.draped)
 
     @cached_property
     def folds(self) -> bool:
-        """Whether steps of folds are taken, or cloth is at least eased and lifted as they would."""
+        """Returns whether the stage of folds runs: with steps, or for tiers without steps only to ease and lift
+        cloth."""
         return bool(self.options.advanced.folds or self.options.advanced.coarse)
 
     @cached_property
     def lifted(self) -> bool:
-        """Whether folds bring all cloth off the skin and off the layers below. They do for one garment, and for several
-        if these feel each other (``cloth_contact``)."""
+        """Returns whether folds bring all cloth off the skin and off the layers below: those of one garment, and those
+        of several that feel each other (``cloth_contact``)."""
         return self.folds and (bool(self.options.advanced.cloth_contact) or len(self.scene.layers) == 1)
 
     @cached_property
     def projected(self) -> bool:
-        """Whether the collision projection brings the cloth out: it is asked for, and folds do not do it."""
+        """Returns whether the collision projection runs: ``push_out`` asks for it, and folds do not lift the cloth."""
         return bool(self.options.advanced.push_out) and not self.lifted
 
     @cached_property
     def colliders(self) -> np.ndarray:
-        """The colliders of the scene as rows (M, 16), in the world (``drape.geometry.colliders``)."""
+        """Returns the colliders as rows (M, 16) in the world (``drape.geometry.colliders``)."""
         return collider_rows(self.options.colliders)
 
     @cached_property
     def visible(self) -> tuple[bool, ...]:
-        """Whether each layer of the scene is in the answer; hidden ones are not."""
+        """Returns for each layer of the scene whether it is in the answer, which leaves hidden ones out."""
         hidden = self.options.hidden or ()
         return tuple(entry.id not in hidden for entry in self.scene.layers)
 
     @cached_property
     def shown(self) -> Scene:
-        """The scene without its hidden layers: what an answer holds."""
+        """Returns the scene without its hidden layers: the garments of the answer."""
         if self.options.hidden is None:
             return self.scene
         return self.scene.only([entry.id for entry in self.scene.layers if entry.id not in self.options.hidden])
 
     @cached_property
     def draped_keys(self) -> tuple[str, ...]:
-        """Digests of what the network drapes."""
+        """Returns the digests of ``draped``, in their order."""
         return tuple(entry.garment.digest for entry in self.draped)
 
 
 def make_plan(stages: Sequence[StageRules], scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
-    """The plan for ``scene`` under ``options``: their values, the stages that they take, and the needs of these.
+    """Returns the plan for ``scene`` under ``options``, whose open values are filled in, with those of ``stages`` that
+    it takes.
 
-    Refuses (``InputError``) what the model cannot do.
+    Refuses (``InputError``) options that the model or a stage cannot follow.
     """
     chosen = {name: value for stage in stages for name, value in stage.resolve(options).items()}
     scene = scene.fine if options.resolution == "fine" else scene
-    own = {name: getattr(options, name) for name in DrapeOptions.model_fields}  # of a request, which has more
+    own = {name: getattr(options, name) for name in DrapeOptions.model_fields}  # requests have more fields
     known = DrapeOptions().model_copy(update=own).updated(**chosen)
     plan = Plan(scene, known, messages, fabrics=layer_fabrics(known, len(scene.layers)))
     for stage in stages:
         stage.check(plan)
-    taken = tuple(stage for stage in stages if stage.wanted(plan))
-    felt = any(stage.joins_layers(plan) for stage in taken)
-    pressed = any(stage.presses_layers(plan) for stage in taken)
+    wanted = tuple(stage for stage in stages if stage.wanted(plan))
+    felt = any(stage.joins_layers(plan) for stage in wanted)
+    pressed = any(stage.presses_layers(plan) for stage in wanted)
     rows, known = narrowed(scene, plan.options, felt=felt, pressed=pressed)
     if len(rows) < len(scene.layers):
         scene = scene.only([scene.layers[row].id for row in rows])
     plan = replace(plan, scene=scene, options=known, fabrics=tuple(plan.fabrics[row] for row in rows))
-    needs = frozenset({plan.options.geometry}).union(*(stage.needs(plan) for stage in taken))
+    needs = frozenset({plan.options.geometry}).union(*(stage.needs(plan) for stage in wanted))
     draped = (scene.fine if FINE in needs else scene).layers
-    return replace(plan, stages=taken, needs=needs, draped=draped)
+    return replace(plan, stages=wanted, needs=needs, draped=draped)

@@ -1,4 +1,4 @@
-"""A garment or an outfit that is worn, the fabric of each layer, and the layers that must be draped."""
+"""Scenes: a garment or an outfit, the fabric of each layer, and the layers that must be draped."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ Source = Literal["shipped", "user"]
 
 @dataclass(frozen=True)
 class About:
-    """The facts of a garment that its owner changes: a title, None for the name it came with, and being published."""
+    """What an owner may change of a garment: its ``title``, None for the name it came with, and whether every key may
+    see it (``published``)."""
 
     title: str | None = None
     published: bool = False
@@ -35,7 +36,7 @@ UNCHANGED = About()
 
 
 class BodyInService(Protocol):
-    """A body and what drapes on it: ``drape.stages.body_stages.BodyStages``."""
+    """A body and the stages that drape on it, as ``drape.stages.body_stages.BodyStages`` has them."""
 
     @property
     def body(self) -> BodyModel: ...
@@ -43,8 +44,11 @@ class BodyInService(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A garment in service. ``owner`` is the key that uploaded it, if keys were asked for; ``worn``
-    the body that it was cut for and its stages, where that is not the standard one."""
+    """A garment in service, which is also a scene of one layer.
+
+    ``path`` is its file, ``owner`` the key that uploaded it, None where the service asks for none. ``worn`` is the body
+    that it was cut for, None for the standard one.
+    """
 
     id: str
     garment: Garment
@@ -56,21 +60,21 @@ class Entry:
 
     @property
     def published(self) -> bool:
-        """Whether every key may see it."""
+        """Returns whether every key may see it."""
         return self.about.published
 
     @property
     def name(self) -> str:
-        """The title that its owner gave it, or the name it came with."""
+        """Returns the title that its owner gave it, or else the name it came with."""
         return self.about.title or self.garment.name
 
     def seen_by(self, viewer: str | None) -> bool:
-        """Whether the key ``viewer`` (None: whoever has none) may know of it."""
+        """Returns whether the key ``viewer``, None for a client without a key, may see it."""
         return self.owner is None or self.published or self.owner == viewer
 
     @property
     def layers(self) -> tuple[Entry, ...]:
-        """The layers of the scene: this garment alone. An outfit has several."""
+        """Returns the layers of the scene: this garment alone."""
         return (self,)
 
     def only(self, ids: Sequence[str]) -> Entry:
@@ -79,13 +83,13 @@ class Entry:
 
     @cached_property
     def fine(self) -> Entry:
-        """The entry with the subdivided mesh as its delivered one; itself if nothing was subdivided."""
+        """Returns the entry of the garment's subdivided mesh; itself if intake did not subdivide it."""
         garment = fine_garment(self.garment)
         return self if garment is self.garment else replace(self, garment=garment)
 
     @property
     def vertex_count(self) -> int:
-        """The number of vertices that are drawn."""
+        """Returns the number of vertices of the drawn mesh."""
         return self.garment.surface.vertex_count
 
     @property
@@ -94,7 +98,10 @@ class Entry:
 
     @cached_property
     def jet_layout(self) -> bytes:
-        """The LAYOUT message (``drape.wire.layout``): what a client needs to make vertices of its jets."""
+        """Returns the LAYOUT message (``drape.wire.layout``), by which a client makes vertices of the garment's jets.
+
+        Refuses (``TooLarge``) a garment of more than ``PATCH_LIMIT`` patches.
+        """
         garment = self.garment
         rows = np.arange(garment.vertex_count) if garment.drawn is None else garment.drawn.heaviest
         if garment.patch_count > PATCH_LIMIT:
@@ -124,23 +131,23 @@ class Outfit:
     layers: tuple[Entry, ...]
 
     def only(self, ids: Sequence[str]) -> Outfit:
-        """Returns the outfit with only its layers of ``ids``. It stays an outfit if one is left, so that the answer
-        names the garment."""
+        """Returns the outfit with only its layers of ``ids``, still an outfit if one is left: its answer names
+        garments."""
         return Outfit(tuple(entry for entry in self.layers if entry.id in ids))
 
     @property
     def fine(self) -> Outfit:
-        """The outfit with the subdivided mesh of every layer."""
+        """Returns the outfit with the subdivided mesh of every layer that has one."""
         return Outfit(tuple(entry.fine for entry in self.layers))
 
     @property
     def vertex_count(self) -> int:
-        """The number of vertices of all layers together."""
+        """Returns the number of vertices of all layers together."""
         return sum(entry.vertex_count for entry in self.layers)
 
     @property
     def patch_count(self) -> int:
-        """The number of patches of all layers together."""
+        """Returns the number of patches of all layers together."""
         return sum(entry.patch_count for entry in self.layers)
 
 
@@ -148,8 +155,8 @@ Scene = Entry | Outfit
 
 
 def layer_list(scene: Scene, *, patches: bool = False) -> list[dict[str, str | int]]:
-    """Returns what an answer says of each layer, in the order of its vertices: ``id``, ``vertices`` and, if asked for,
-    ``patches``."""
+    """Returns for each layer a document with its ``id``, the number of its ``vertices`` and, with ``patches``, of its
+    ``patches``, in the order of the layers."""
     layers: list[dict[str, str | int]] = [{"id": entry.id, "vertices": entry.vertex_count} for entry in scene.layers]
     for layer, entry in zip(layers, scene.layers, strict=True):
         if patches:
@@ -172,7 +179,7 @@ def layer_fabrics(options: DrapeOptions, layers: int) -> tuple[Fabric | None, ..
             got=str(len(chosen)),
             cure="Put null where a garment keeps its own.",
         )
-    return tuple(_fabric(one) for one in chosen)
+    return tuple(_fabric(own) for own in chosen)
 
 
 def _fabric(chosen: FabricChoice | None) -> Fabric | None:
@@ -182,19 +189,20 @@ def _fabric(chosen: FabricChoice | None) -> Fabric | None:
 
 
 def check_known(fabrics: Sequence[Fabric | None], *, known: bool, model: str) -> None:
-    """Refuses (``InputError``) any fabric where the ``model`` has one cloth only."""
-    if not known and any(one is not None for one in fabrics):
+    """Refuses (``InputError``) any of ``fabrics`` that is not None, unless ``known``: whether ``model``, a name, drapes
+    by fabrics."""
+    if not known and any(own is not None for own in fabrics):
         raise InputError(
             "fabric", expected=f"none: model {model} was trained on one cloth", got="a fabric", cure="Leave it out."
         )
 
 
 def narrowed(scene: Scene, options: DrapeOptions, *, felt: bool, pressed: bool) -> tuple[list[int], DrapeOptions]:
-    """Returns the numbers of the layers of ``scene`` that must be draped, and ``options`` for these.
+    """Returns the indices of the layers of ``scene`` that must be draped, and ``options`` for these layers alone.
 
-    A hidden layer must be draped where a visible one lies over it, if layers are ``felt`` by those above; and where a
-    visible one lies below it, if layers are ``pressed`` by those above. Refuses (``InputError``) hidden garments that
-    are not worn, and an outfit that is hidden as a whole.
+    Visible layers are draped, and hidden ones below the outermost visible one if layers feel those below (``felt``), or
+    above the innermost visible one if layers give way to those above (``pressed``). Refuses (``InputError``) hidden
+    garments that are not worn, and an outfit that is hidden as a whole.
     """
     worn = [layer.id for layer in scene.layers]
     if options.hidden is None:

@@ -1,4 +1,4 @@
-"""What a stage is, the constants that it keeps, and which memories hold under another plan."""
+"""Stages, the constants that they keep, and the memories that hold under another plan."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
     from drape.inference.engine import Engine
     from drape.live.card_lanes import Lanes
 
-BODY = ""  # the owner of what is remembered of a body, where others are garments by their digest
-Make = Callable[..., Any]  # calls a function with arguments: here, or in another process while there are streams
+BODY = ""  # the owner of memories of a body; the owner of others is a garment's digest
+Make = Callable[..., Any]  # calls a function with arguments: at once, or in another process while there are streams
 Constants = TypeVar("Constants")
 Key = tuple[str, ...]  # digests of garments and of a fabric
 
 
 def call_here(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """Returns ``function(*arguments, **named)``, called at once, in this thread."""
+    """Returns ``function(*arguments, **named)``, called in this thread."""
     return function(*arguments, **named)
 
 
 class StageSettings(Protocol):
-    """The setting that stages read where an option is left open: ``inertia``."""
+    """The service's setting for the option ``inertia``, which holds where a client leaves it open."""
 
     @property
     def inertia(self) -> Literal["network", "mesh"]: ...
@@ -41,7 +41,8 @@ class StageSettings(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class StageSetup:
-    """The objects that all stages share. ``make`` calls a function that takes long; a card's ``lane`` draws frames."""
+    """The objects that all stages share. ``make(function, *arguments)`` calls a function that takes long. ``lane``
+    draws frames on graphics cards, None without."""
 
     engine: Engine
     body: BodyModel
@@ -51,7 +52,7 @@ class StageSetup:
 
 
 class Stage(StageRules):
-    """One step of a frame's way, made once per service; ``drape.stages.STAGES`` names them in order.
+    """One step of the way of a frame, made once per service. ``drape.stages.STAGES`` has all in their order.
 
     A stage holds its constants of garments (``add``, ``parts``). Its memories of a stream or clip lie in the batch,
     under its name and the garment's digest or ``BODY``.
@@ -61,18 +62,18 @@ class Stage(StageRules):
         self.engine, self.body, self.settings, self.make = setup.engine, setup.body, setup.settings, setup.make
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
-        """Stores the constants of ``garment``, whose ``garment_feed`` is ``feed``."""
+        """Stores ``garment``, of which ``feed`` is ``garment_feed`` on this stage's body: arrays by name."""
 
     def remove(self, garment: Garment) -> None:
-        """Forgets the constants of ``garment``; no plan names it any more."""
+        """Forgets ``garment`` and its constants; no plan names it any more."""
 
     @property
     def held_bytes(self) -> int:
-        """The memory [bytes] of its constants where the graphs compute."""
+        """Returns the size of its garments' constants [bytes] on the device of the graphs."""
         return 0
 
     def run(self, batch: Batch) -> Batch:
-        """Returns ``batch`` after this stage."""
+        """Returns ``batch`` with the results of this stage."""
         raise NotImplementedError
 
     def steps(self, batch: Batch) -> Iterator[Batch]:
@@ -82,7 +83,8 @@ class Stage(StageRules):
 
 
 class ClothStage(Stage, Generic[Constants]):
-    """A stage that moves the cloth of garments in fabrics, from a memory of where it was (``at``)."""
+    """A stage that moves cloth and remembers where it was. Its memories have ``at(time_s)``, which returns them as they
+    are then if nothing moves; its constants belong to a garment in a fabric."""
 
     def __init__(self, setup: StageSetup, too_many: Callable[[Collection[Constants]], bool]) -> None:
         super().__init__(setup)
@@ -121,9 +123,9 @@ def carried(memories: Memories, before: Plan, after: Plan) -> Memories:
 
 
 class KeptConstants(Generic[Constants]):
-    """Constants by their keys. Those that were not used for longest are dropped while there are ``too_many``.
+    """Constants by their keys. The ones that were not used for longest are dropped while ``too_many(all)`` is true.
 
-    One thread makes those of a key, and others that want them wait for it.
+    One thread makes the constants of a key, and others that want them wait for it.
     """
 
     def __init__(self, too_many: Callable[[Collection[Constants]], bool] = lambda kept: False) -> None:
@@ -132,21 +134,21 @@ class KeptConstants(Generic[Constants]):
         self._looking, self._making = threading.Lock(), WeakValueDictionary[Key, threading.Lock]()
 
     def get(self, key: Key, make: Callable[[], Constants]) -> Constants:
-        """The constants under ``key``, made by ``make`` where they are missing."""
-        found = self._find(key)
-        if found is None:
+        """Returns the constants under ``key``, made by ``make()`` where they are missing."""
+        entry = self._find(key)
+        if entry is None:
             with self._looking:
                 making = self._making.setdefault(key, threading.Lock())
             with making:
-                found = self._find(key)
-                if found is None:
+                entry = self._find(key)
+                if entry is None:
                     go_on()
-                    found = (make(),)
-                    self._keep(key, found[0])
-        return found[0]
+                    entry = (make(),)
+                    self._keep(key, entry[0])
+        return entry[0]
 
     def forget(self, digest: str) -> None:
-        """Drops all constants whose key has ``digest``."""
+        """Drops the constants of all keys that contain ``digest``."""
         with self._looking:
             for key in [key for key in self._kept if digest in key]:
                 del self._kept[key]
@@ -162,8 +164,8 @@ class KeptConstants(Generic[Constants]):
             self._kept.move_to_end(key)
             return (self._kept[key],)
 
-    def _keep(self, key: Key, made: Constants) -> None:
+    def _keep(self, key: Key, constants: Constants) -> None:
         with self._looking:
-            self._kept[key] = made
+            self._kept[key] = constants
             while len(self._kept) > 1 and self._too_many(self._kept.values()):
                 self._kept.popitem(last=False)

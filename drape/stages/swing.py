@@ -15,11 +15,12 @@ from drape.stages.batch import Batch, changed, stacked
 from drape.stages.plan import SKIN, Plan
 from drape.stages.stage import ClothStage, StageSetup
 
-KEPT = 256  # garments in fabrics, a megabyte at most each; what is in use stays
+KEPT = 256  # constants of garments in fabrics, at most a megabyte each; what is in use stays
 
 
 class Swing(ClothStage[SwingConstants | None]):
-    """Moves each layer's vertices by the swing of its nodes, times the knob; what lies near the skin stays."""
+    """The stage that moves each layer's vertices by the swing of its nodes, times the knob; what lies near the skin
+    stays."""
 
     name = "swing"
     kept = (SwingMemory,)
@@ -28,7 +29,7 @@ class Swing(ClothStage[SwingConstants | None]):
         super().__init__(setup, lambda kept: len(kept) > KEPT)
 
     def check(self, plan: Plan) -> None:
-        here = plan.options.folds_by == "server"  # a client that folds swings as well
+        here = plan.options.folds_by == "server"  # a client that folds also makes the swing
         if plan.options.advanced.inertia == "mesh" and plan.options.geometry == "jets" and here:
             raise InputError(
                 "advanced.inertia",
@@ -57,14 +58,17 @@ class Swing(ClothStage[SwingConstants | None]):
         assert batch.skin is not None
         skin = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
         for i, (key, fabric) in enumerate(zip(plan.draped_keys, plan.fabrics, strict=True)):
-            made, drape = self.constants(key, fabric), layers[i].vertices
-            if made is not None and drape is not None:
+            constants, drape = self.constants(key, fabric), layers[i].vertices
+            if constants is not None and drape is not None:
                 swung, after = [], []
-                for (one, rows), memory in zip(batch.rows(), batch.remembered((self.name, key)), strict=True):
+                for (client, rows), memory in zip(batch.rows(), batch.remembered((self.name, key)), strict=True):
                     for number, row in enumerate(range(rows.start, rows.stop)):
                         solid = seen_from(plan.colliders, batch.root[row])
-                        frame = Frame(drape[row], skin[row], float(one.times_s[number]), solid)
-                        vertices, memory = swing(made, memory, frame, batch.root[row], share=plan.options.knob or 0.0)
+                        frame, share = (
+                            Frame(drape[row], skin[row], float(client.times_s[number]), solid),
+                            plan.options.knob or 0.0,
+                        )
+                        vertices, memory = swing(constants, memory, frame, batch.root[row], share=share)
                         swung.append(vertices)
                     after.append(memory)
                 layers[i] = changed(layers[i], vertices=stacked(swung))
@@ -72,6 +76,7 @@ class Swing(ClothStage[SwingConstants | None]):
             yield changed(batch, layers=tuple(layers))
 
     def constants(self, key: str, fabric: Fabric | None) -> SwingConstants | None:
-        """The constants of the garment ``key`` made of ``fabric``; None where nothing of it swings."""
+        """Returns the constants of the garment ``key`` made of ``fabric``, None for its own; None where nothing of it
+        swings. They are made at the first call."""
         name = key, "" if fabric is None else fabric.digest
         return self._constants.get(name, lambda: self.make(swing_constants, self._garments[key], self.body, fabric))

@@ -1,4 +1,4 @@
-"""Tiers: names for how much of a frame is computed, and what an option that nobody named comes to.
+"""Tiers: names for how much of a frame is computed, and the values of options that nobody named.
 
 A tier is two numbers, corrections of the network and steps of folds, and whether a coarse cloth takes these. The
 model's manifest says which, chosen from measurements (``benchmarks.tradeoff``); ``TIERS`` hold for a model that does
@@ -17,11 +17,11 @@ from drape.wire.options import Advanced, DrapeOptions, TierName
 
 FAR_PIXELS_PER_M = 100.0  # below it a pixel is more than a centimetre
 NAMES: tuple[str, ...] = get_args(TierName)  # the least first
-EXACT = "exact"  # a job of the service
+EXACT = "exact"  # the tier that is a job of the service
 
 
 class TierSettings(Protocol):
-    """The settings that hold where a client names neither a tier nor a number of steps of folds."""
+    """The service's settings, which hold where a client names neither a tier nor a number of steps of folds."""
 
     @property
     def tier(self) -> TierName: ...
@@ -31,11 +31,11 @@ class TierSettings(Protocol):
 
 @dataclass(frozen=True)
 class Tier:
-    """How much a frame computes: ``passes`` of the network's corrections and then ``folds`` steps of folds.
+    """How much a frame computes: ``passes`` corrections of the network and then ``folds`` steps of folds.
 
-    Without folds (jets) there are ``alone`` passes. None stands for all passes.
-    ``coarse``: a coarse cloth takes the steps (``drape.live.two_level``); without steps cloth is lifted off the skin.
-    ``figures`` are what ``benchmarks.tradeoff`` measured of it, and where.
+    Where nothing folds, as with jets, the network makes ``alone`` passes. None stands for all passes. ``coarse``: a
+    coarse cloth takes the steps (``drape.live.two_level``), and without steps the cloth is only lifted off the skin.
+    ``figures`` are the measurements of ``benchmarks.tradeoff``.
     """
 
     name: str
@@ -55,9 +55,9 @@ TIERS = (
 
 
 def read_tiers(rows: Sequence[Mapping[str, Any]]) -> tuple[Tier, ...]:
-    """The tiers of a manifest, the least first; ``TIERS`` where it has none.
+    """Returns the tiers in the ``rows`` of a manifest, the one that computes least first; ``TIERS`` if there are none.
 
-    Raises ``ArtifactError`` where they are not those of ``NAMES``, or one computes less than the one below it.
+    Raises ``ArtifactError`` where their names are not ``NAMES``, or a tier computes less than the one before it.
     """
     if not rows:
         return TIERS
@@ -76,11 +76,10 @@ def read_tiers(rows: Sequence[Mapping[str, Any]]) -> tuple[Tier, ...]:
 
 
 def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: TierSettings, pass_count: int) -> DrapeOptions:
-    """Returns ``options`` with passes and folds filled in, and no tier.
+    """Returns ``options`` without a tier, its numbers of passes and of steps of folds filled in, and who takes these.
 
-    A number that the client named wins, then its tier, then the service's ``settings``. ``pass_count`` is the number of
-    passes that the model leaves to choose; a tier gets no more. Refuses (``InputError``) the tier exact, which is a job
-    and neither a stream nor an answer.
+    A number that the client named wins, then its tier, then the service's ``settings``. ``pass_count`` is
+    ``Engine.pass_count``; a tier gets no more passes. Refuses (``InputError``) the tier exact, which is a job.
     """
     if options.tier == EXACT:
         cure = "POST /drape with tier exact: the answer is a job. Or ask for accurate here."
@@ -92,7 +91,7 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: TierSettings,
     folding = options.geometry == "vertices" or options.folds_by == "client"
     lifts = folds is None and own is None and not tier.folds and folding
     if far:
-        # A lift in place of a projection, which costs more than what is left; with neither nothing is looked at.
+        # The lift costs less than the projection, in whose place it is; without push-out neither is needed.
         lifts = lifts and asked.push_out is not False
         folds = 0 if folds is None else folds
         passes = _of_model(tiers[0].alone if passes is None and not folds else passes, pass_count)
@@ -107,20 +106,20 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: TierSettings,
 
 
 def capped(options: DrapeOptions, tier: Tier) -> DrapeOptions:
-    """Returns ``options``, which ``chosen`` has filled in, lowered to what ``tier`` computes where they ask for
-    more."""
+    """Returns ``options``, as ``chosen`` returns them, with every number that is above that of ``tier`` lowered to
+    it."""
     asked = options.advanced
     most = tier.passes if asked.folds else tier.alone
     passes = asked.passes if _at_most(asked.passes, most) else most
     folds = asked.folds or 0
-    safe = asked.safe_folds if folds <= tier.folds else tier.folds  # a tier that is kept keeps its safe one
+    safe = asked.safe_folds if folds <= tier.folds else tier.folds  # steps that are not lowered keep their safe number
     coarse = asked.coarse or (tier.coarse and bool(folds))
     return options.updated(passes=passes, folds=min(folds, tier.folds), safe_folds=safe, coarse=coarse)
 
 
 def spared(options: DrapeOptions) -> DrapeOptions:
-    """Returns ``options`` of one garment, which ``chosen`` has filled in, without cloth contact: folds can do without
-    it for a while.
+    """Returns ``options`` of one garment, as ``chosen`` returns them, without cloth contact if there are steps of
+    folds: folds do without it for a while.
 
     The push-out stays: without it stiff shorts show skin in a squat.
     """
@@ -128,7 +127,7 @@ def spared(options: DrapeOptions) -> DrapeOptions:
 
 
 def _safe_folds(asked: Advanced, folds: int, tiers: Sequence[Tier]) -> int:
-    """Steps of folds where a pose is unlike training: of the tier that leans least on the network, the last one."""
+    """The steps of folds for a pose unlike training: those of the last tier, unless the client names a number."""
     if not folds:
         return 0
     free = tiers[-1].folds if asked.folds is None else 0
@@ -136,12 +135,12 @@ def _safe_folds(asked: Advanced, folds: int, tiers: Sequence[Tier]) -> int:
 
 
 def tier_of(options: DrapeOptions, tiers: Sequence[Tier], pass_count: int) -> str:
-    """Returns the name of the tier that ``options``, which ``chosen`` has filled in, are equal to; "custom" if to
-    none."""
+    """Returns the name of the tier that has the numbers of ``options``, as ``chosen`` returns them; "custom" if none
+    has."""
     asked = options.advanced
     folding = options.geometry == "vertices" or options.folds_by == "client"
     for tier in tiers:
-        if not tier.folds and not folding:  # those of the next one
+        if not tier.folds and not folding:  # jets have the next tier's passes too
             continue
         folds = tier.folds if folding else 0
         passes, coarse = tier.passes if folds else tier.alone, tier.coarse and folding
@@ -152,7 +151,7 @@ def tier_of(options: DrapeOptions, tiers: Sequence[Tier], pass_count: int) -> st
 
 
 def _of_model(passes: int | None, pass_count: int) -> int | None:
-    """``passes`` of a model that leaves so many to choose: None for all of them."""
+    """``passes``, or None if these are all ``pass_count`` of the model."""
     return None if passes is None or passes >= pass_count else passes
 
 

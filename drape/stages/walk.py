@@ -1,4 +1,4 @@
-"""The walk of a batch through all stages of its plan."""
+"""The way of a batch through the stages of its plan."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Took = Callable[[str, float], None]
 
 
 def walk(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: None) -> Iterator[Batch]:
-    """Yields the batch of all ``inputs``, which may differ in shape, after every step through the stages of ``plan``.
+    """Yields the batch of ``inputs`` under ``plan`` after every step; the last one is the result.
 
-    A step is what others may have to wait for: a frame in one call, a stage, or a part of a long stage. ``took`` is
-    called with the name of each stage and the time [s] that it took.
+    A step is a frame in one call, a stage, or a part of a long stage: others may compute between steps. The bodies of
+    the inputs may differ in shape. ``took`` is called with the name of each stage and the time [s] that it took.
     """
     batch = Batch.of(plan, inputs)
     first, rest = at_once(plan), plan.stages
@@ -30,19 +30,19 @@ def walk(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: N
     yield from _through(batch, rest, took)
 
 
-def by_stages(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: None) -> Iterator[Batch]:
-    """Yields what ``walk`` does, stage by stage; the bits are the same."""
-    return _through(Batch.of(plan, inputs), plan.stages, took)
+def by_stages(plan: Plan, inputs: Sequence[PoseInput]) -> Iterator[Batch]:
+    """Yields the batch as ``walk`` does, but never in one call a frame; the bits are the same."""
+    return _through(Batch.of(plan, inputs), plan.stages, lambda name, s: None)
 
 
 def run(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: None) -> Batch:
-    """The batch at the end of ``walk``."""
+    """Returns the last batch of ``walk``, which is the result."""
     *_, last = walk(plan, inputs, took)
     return last
 
 
 def _through(batch: Batch, stages: Sequence[StageRules], took: Took) -> Iterator[Batch]:
-    for stage in cast("Sequence[Stage]", stages):  # a plan knows of them no more than it asks
+    for stage in cast("Sequence[Stage]", stages):  # plans know only the rules of their stages
         steps, spent_s = iter(stage.steps(batch)), 0.0
         while True:
             begun_s = time.perf_counter()

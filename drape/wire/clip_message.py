@@ -18,7 +18,7 @@ from drape.arrays import check_shape
 from drape.errors import InputError, MotionError
 from drape.wire import messages as wire
 
-FLAG_PLACED = 1  # translations are there; zeros otherwise
+FLAG_PLACED = 1  # the message has translations; without it they are zeros
 FRAME_BYTES = 8 * (wire.POSE_SIZE + 3)
 _HEADER = wire.record(wire.LAYOUTS["CLIP"])
 HEADER_BYTES = _HEADER.size
@@ -30,7 +30,8 @@ def of_rig(poses: np.ndarray) -> bool:
 
 
 def frame_bytes(poses: np.ndarray) -> int:
-    """The most bytes that a frame of ``poses`` takes."""
+    """Returns how many bytes of a CLIP message a frame of ``poses`` (F, 24, 3) or (F, N, 4) takes, with a
+    translation."""
     return 8 * (4 * poses.shape[1] + 3) if of_rig(poses) else FRAME_BYTES
 
 
@@ -44,8 +45,8 @@ def check_motion(poses: np.ndarray, trans: np.ndarray | None) -> None:
 
 
 def pack_clip(about: Mapping[str, Any], poses: np.ndarray, trans: np.ndarray | None) -> bytes:
-    """The CLIP message of ``poses`` (F, 24, 3) [rad] or quaternions (F, N, 4), ``trans`` (F, 3) [m] or None, and the
-    JSON fields ``about``.
+    """Returns the CLIP message of ``poses``, rotation vectors (F, 24, 3) [rad] or a rig's local quaternions (F, N, 4),
+    x, y, z, w; of the translations ``trans`` (F, 3) [m], None for zeros; and of the JSON fields ``about``.
 
     Refuses (``MotionError``) other shapes.
     """
@@ -59,8 +60,11 @@ def pack_clip(about: Mapping[str, Any], poses: np.ndarray, trans: np.ndarray | N
 
 
 def unpack_clip(message: bytes) -> tuple[bytes, np.ndarray, np.ndarray | None]:
-    """The JSON text, poses (F, 24, 3) or quaternions (F, N, 4), and translations (F, 3) or None of ``message``, all
-    unchecked; refuses another size, version or kind."""
+    """Returns the JSON text, the poses (F, 24, 3) [rad] or quaternions (F, N, 4), x, y, z, w, and the translations (F,
+    3) [m] or None in the CLIP ``message``, float64, all unchecked.
+
+    Refuses (``InputError``) another size, version or kind.
+    """
     wire.check_prefix("clip message", message, wire.CLIP, least=HEADER_BYTES)
     values = _HEADER.unpack_from(message)
     flags, count, text_bytes, nodes = values[3], values[5], values[6], values[7]

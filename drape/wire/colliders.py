@@ -39,7 +39,7 @@ class Plane(_Collider):
         return normal
 
     def row(self) -> np.ndarray:
-        """The numbers (16,) that kernels read."""
+        """Returns the plane as a row (16,) of numbers (``drape.geometry.colliders.plane``)."""
         return colliders.plane(self.normal, self.offset_m)
 
 
@@ -52,7 +52,7 @@ class Box(_Collider):
     turn: Point = Field(default=(0.0, 0.0, 0.0), description="Its rotation, as a rotation vector [rad].")
 
     def row(self) -> np.ndarray:
-        """The numbers (16,) that kernels read."""
+        """Returns the box as a row (16,) of numbers (``drape.geometry.colliders.box``)."""
         return colliders.box(self.centre, self.size, self.turn)
 
 
@@ -64,7 +64,7 @@ class Capsule(_Collider):
     radius_m: Length = Field(description="Its radius [m].")
 
     def row(self) -> np.ndarray:
-        """The numbers (16,) that kernels read."""
+        """Returns the capsule as a row (16,) of numbers (``drape.geometry.colliders.capsule``)."""
         return colliders.capsule(*self.ends, self.radius_m)
 
 
@@ -72,5 +72,5 @@ Collider = Annotated[Plane | Box | Capsule, Field(discriminator="kind")]
 
 
 def collider_rows(chosen: tuple[Plane | Box | Capsule, ...] | None) -> np.ndarray:
-    """The rows (M, 16) of the ``chosen`` colliders, in the world's coordinates."""
-    return np.stack([one.row() for one in chosen]) if chosen else colliders.NONE
+    """Returns the ``chosen`` colliders as rows (M, 16) in the world (``drape.geometry.colliders``), none for None."""
+    return np.stack([collider.row() for collider in chosen]) if chosen else colliders.NONE

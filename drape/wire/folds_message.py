@@ -23,19 +23,18 @@ _HEADER = wire.record((*wire.PREFIX, ("document_bytes", "u32", 1)))
 def with_hung(
     document: Mapping[str, Any], arrays: Sequence[np.ndarray], hung: Sequence[np.ndarray]
 ) -> tuple[dict[str, Any], list[np.ndarray]]:
-    """Returns ``document`` and ``arrays`` with those by which a drawn mesh hangs on the cloth (``bound.Drawer.arrays``)
-    behind all others; the document counts them in ``hung``.
-    """
-    flat = [np.ascontiguousarray(one).reshape(-1) for one in hung]
-    return {**document, "hung": [one.size for one in flat]}, [*arrays, *flat]
+    """Returns ``document`` with the sizes of the arrays ``hung`` under "hung", and ``arrays`` followed by these arrays,
+    flat. By ``hung``, which are ``bound.Drawer.arrays``, a drawn mesh hangs on the cloth."""
+    flat = [np.ascontiguousarray(array).reshape(-1) for array in hung]
+    return {**document, "hung": [array.size for array in flat]}, [*arrays, *flat]
 
 
 def pack_folds(document: Mapping[str, Any], arrays: Sequence[np.ndarray]) -> bytes:
-    """The FOLDS message of a ``document`` and the ``arrays`` that it counts."""
+    """Returns the FOLDS message of a ``document`` for JSON and of the ``arrays`` whose sizes it has."""
     text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
     header = _HEADER.pack(wire.MAGIC, wire.WIRE_VERSION, wire.FOLDS, 0, 0, len(arrays), len(text))
-    return b"".join([header, text, *(_planes(one) + b"\0" * (-one.nbytes % 4) for one in arrays)])
+    return b"".join([header, text, *(_planes(array) + b"\0" * (-array.nbytes % 4) for array in arrays)])
 
 
 def _planes(array: np.ndarray) -> bytes:
@@ -43,7 +42,10 @@ def _planes(array: np.ndarray) -> bytes:
 
 
 def unpack_folds(message: bytes) -> tuple[dict[str, Any], bytes]:
-    """The document in ``message``, and the bytes of its arrays; refuses another version or kind, and no document."""
+    """Returns the document in the FOLDS ``message``, and the bytes of all its arrays as they lie there.
+
+    Refuses (``InputError``) another version or kind, and a document that is no JSON.
+    """
     wire.check_prefix("folds message", message, wire.FOLDS, least=_HEADER.size)
     end = _HEADER.size + _HEADER.unpack_from(message)[-1]
     try:

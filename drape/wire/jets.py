@@ -19,7 +19,7 @@ from drape.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
 from drape.wire import messages as wire
 
 FINE = np.flatnonzero(np.tile(np.arange(jets.HEIGHT_COUNT) < jets.IN_PLANE_COUNT, 3))  # coefficients of 16 bits
-COARSE = np.setdiff1d(np.arange(jets.FULL_COUNT), FINE)  # of 8 bits
+COARSE = np.setdiff1d(np.arange(jets.FULL_COUNT), FINE)  # coefficients of 8 bits
 FINE_COLUMNS = 3 + 4 + len(FINE)  # centre, quaternion, coefficients
 ROW_BYTES = 2 * FINE_COLUMNS + len(COARSE)
 COARSE_COUNT = 255
@@ -34,8 +34,8 @@ class JetFrame:
     """One draped frame as posed patches. ``sequence`` and ``client_time_s`` are those of its pose.
 
     ``jet`` (K, 45) [patch scales] is the change of each patch's rest surface in its frame, the push-out included;
-    ``rotation`` (K, 3, 3) and ``centre`` (K, 3) [m], relative to ``root`` (3,) float64 [m], are the frames. ``left_m``:
-    the longest way that a vertex still lacks to the push-out's own place; other numbers are those of
+    ``rotation`` (K, 3, 3) and ``centre`` (K, 3) [m], relative to ``root`` (3,) float64 [m], are the frames. Vertices
+    that are made of it lie at most ``left_m`` from where the push-out put them. Other numbers are those of
     ``drape.wire.messages.Frame``.
     """
 
@@ -56,7 +56,10 @@ class JetFrame:
     novelty: float = 0.0
 
     def layers(self, counts: Sequence[int]) -> list[JetFrame]:
-        """The frame parted into garments that have ``counts`` patches; refuses counts that do not add up."""
+        """Returns the frame of each garment of an outfit; ``counts`` are their numbers of patches, in order.
+
+        Refuses (``InputError``) counts that do not add up to the patches of this frame.
+        """
         if sum(counts) != len(self.jet):
             raise InputError(
                 "patches",
@@ -70,12 +73,12 @@ class JetFrame:
 
 
 def message_bytes(patches: int) -> int:
-    """Returns the length [bytes] of the message of ``patches`` patches, padded to a multiple of 4."""
+    """Returns the length [bytes] of a JETS message of so many ``patches``, a multiple of 4."""
     return HEADER_BYTES + ROW_BYTES * patches + (-ROW_BYTES * patches) % 4
 
 
 def pack_jets(frame: JetFrame) -> bytes:
-    """The JETS message: header, rows of 16-bit steps, rows of 8-bit steps."""
+    """Returns the JETS message of ``frame``: header, rows of 16-bit steps, rows of 8-bit steps."""
     count = len(frame.jet)
     check_shape("jet", frame.jet, (None, jets.FULL_COUNT))
     low, step = np.empty(jets.FULL_COUNT, np.float32), np.empty(jets.FULL_COUNT, np.float32)
@@ -95,7 +98,7 @@ def pack_jets(frame: JetFrame) -> bytes:
 
 
 def unpack_jets(message: bytes) -> JetFrame:
-    """The frame in ``message``; refuses another size, version or kind."""
+    """Returns the frame in the JETS ``message``; refuses (``InputError``) another size, version or kind."""
     wire.check_prefix("jets message", message, wire.JETS, least=HEADER_BYTES)
     values = _HEADER.unpack_from(message)
     count = values[5]
@@ -137,7 +140,10 @@ def unpack_jets(message: bytes) -> JetFrame:
 
 
 def split_jets(content: bytes) -> list[JetFrame]:
-    """The frames of JETS messages that follow each other; refuses a rest."""
+    """Returns the frames of the JETS messages that follow each other in ``content``.
+
+    Refuses (``InputError``) bytes that are no whole message.
+    """
     frames, start = [], 0
     while start < len(content):
         wire.check_prefix("jets message", content[start:], wire.JETS, least=HEADER_BYTES)

@@ -22,7 +22,7 @@ from drape.wire.jets import JetFrame
 
 PATCH_NUMBERS = 13  # rotation, centre, scale
 CHART_NUMBERS = 3  # weight, u, v
-ROWS_AT_ONCE = 16384  # of vertices that are evaluated together: some 40 MB
+ROWS_AT_ONCE = 16384  # vertices that are evaluated together, in some 40 MB
 _HEADER = wire.record(wire.LAYOUTS["LAYOUT"])
 HEADER_BYTES = _HEADER.size
 
@@ -32,7 +32,8 @@ class JetLayout:
     """Constants of a garment of K patches and V vertices with C charts each.
 
     Patches at rest: ``rotation`` (K, 3, 3), ``centre`` (K, 3) [m], ``scale`` (K,) [m]. ``rest`` (V, 3) [m] are the
-    vertices at rest; ``chart_patch`` (V, C), ``chart_weight`` (V, C), rows summing to one, and ``chart_uv`` (V, C, 2).
+    vertices at rest. Of its charts ``chart_patch`` (V, C) are the patches, ``chart_weight`` (V, C) the weights, rows
+    summing to one, and ``chart_uv`` (V, C, 2) the parameters [patch scales].
     """
 
     rotation: np.ndarray
@@ -48,11 +49,15 @@ class JetLayout:
         return len(self.scale)
 
     def vertices(self, frame: JetFrame) -> np.ndarray:
-        """World positions [m] (V, 3) of ``frame``, float64; refuses a frame of another number of patches."""
+        """Returns the vertices [m] (V, 3) of ``frame`` in the world, float64.
+
+        Refuses (``InputError``) a frame of another number of patches.
+        """
         return self.positions(frame) + frame.root
 
     def positions(self, frame: JetFrame) -> np.ndarray:
-        """Returns ``vertices`` relative to the frame's root, float32."""
+        """Returns the vertices [m] (V, 3) of ``frame`` relative to its root, float32; refuses what ``vertices``
+        does."""
         if len(frame.jet) != self.patch_count:
             raise InputError(
                 "patches",
@@ -66,15 +71,17 @@ class JetLayout:
         parts = []
         for start in range(0, len(self.rest), ROWS_AT_ONCE):
             part = slice(start, start + ROWS_AT_ONCE)
-            said = posed[self.chart_patch[part]] @ self._columns[part][..., None]  # (n, C, 3, 1)
-            parts.append(said[..., 0].sum(axis=1))
+            by_chart = posed[self.chart_patch[part]] @ self._columns[part][..., None]  # (n, C, 3, 1)
+            parts.append(by_chart[..., 0].sum(axis=1))
         return np.concatenate(parts)
 
     def on(self, corners: np.ndarray, shares: np.ndarray) -> JetLayout:
-        """The layout of points on triangles: ``corners`` (P, 3) are vertices, ``shares`` (P, 3) barycentric.
+        """Returns the layout of P points on triangles: ``corners`` (P, 3) are the indices of a triangle's vertices,
+        ``shares`` (P, 3) the barycentric coordinates of the point.
 
-        A point has the charts of its corners, weighted by its shares, each continued along the triangle to the
-        point: at a corner it is that corner, and triangles that meet at an edge agree there.
+        A point has the charts of its corners, weighted by its shares, each continued along the triangle to the point.
+        So a point in a corner is that vertex, and triangles that meet at an edge agree there. Refuses (``InputError``)
+        indices that are no vertices.
         """
         check_shape("corners", corners, (None, 3))
         check_shape("shares", shares, (len(corners), 3))
@@ -96,7 +103,8 @@ class JetLayout:
         return JetLayout(self.rotation, self.centre, self.scale, rest.astype(np.float32), *charts)
 
     def subdivided(self, faces: np.ndarray) -> tuple[JetLayout, np.ndarray]:
-        """The layout with a vertex more on every edge of ``faces`` (F, 3), and the faces (4 F, 3) of the finer mesh.
+        """Returns the layout with one more vertex on every edge of ``faces`` (F, 3), and the faces (4 F, 3) of that
+        mesh.
 
         The first vertices are those of this layout, in their order.
         """
@@ -115,12 +123,13 @@ class JetLayout:
 
 
 def _merged(patch: np.ndarray, weight: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Charts (P, C) with each patch of a row once, at its mean parameters, in as few columns as possible."""
+    """Charts (P, C') of rows (P, C) in which a patch may come several times: each patch once, at its mean parameters,
+    in as few columns as possible."""
     order = np.argsort(patch, axis=1, kind="stable")
     patch = np.take_along_axis(patch, order, axis=1)
     weight = np.take_along_axis(weight, order, axis=1).astype(np.float64)
     uv = np.take_along_axis(uv, order[..., None], axis=1).astype(np.float64) * weight[..., None]
-    for column in range(1, patch.shape[1]):  # what a patch has so far goes on to its next entry
+    for column in range(1, patch.shape[1]):  # the sum of a patch moves on to its next entry
         same = patch[:, column] == patch[:, column - 1]
         for values in (weight, uv):
             values[same, column] += values[same, column - 1]
@@ -133,7 +142,8 @@ def _merged(patch: np.ndarray, weight: np.ndarray, uv: np.ndarray) -> tuple[np.n
 
 
 def pack_layout(layout: JetLayout) -> bytes:
-    """The LAYOUT message: header, then float32 rows of patches, rest vertices and charts, then uint16 patches."""
+    """Returns the LAYOUT message: header, then float32 rows of patches, rest vertices and charts, then the charts'
+    patches, uint16."""
     vertices, charts = layout.chart_patch.shape
     header = _HEADER.pack(
         wire.MAGIC, wire.WIRE_VERSION, wire.LAYOUT, 0, 0, layout.patch_count, vertices, charts
@@ -150,7 +160,10 @@ def pack_layout(layout: JetLayout) -> bytes:
 
 
 def unpack_layout(message: bytes) -> JetLayout:
-    """The layout in ``message``; refuses another size, version or kind, and patches that it does not have."""
+    """Returns the layout in the LAYOUT ``message``.
+
+    Refuses (``InputError``) another size, version or kind, and charts of patches that it does not have.
+    """
     wire.check_prefix("layout message", message, wire.LAYOUT, least=HEADER_BYTES)
     *_, patches, vertices, charts = _HEADER.unpack_from(message)
     entries = vertices * charts

@@ -24,10 +24,10 @@ MESH_HEADER_BYTES, BODY_HEADER_BYTES = _MESH.size, _BODY.size
 
 
 def pack_mesh(vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray, uv_faces: np.ndarray) -> bytes:
-    """Returns the MESH of a garment: its ``faces`` (F, 3), its texture coordinates ``uv`` (T, 2) with corners
-    ``uv_faces`` (F, 3), none if empty, and copies of vertices at seams.
+    """Returns the MESH message of a garment: its ``faces`` (F, 3), and texture coordinates for its vertices and for the
+    copies of vertices at seams. ``uv`` (T, 2) with corners ``uv_faces`` (F, 3) may be empty.
 
-    ``vertices`` (V, 3) [m] say which copies are needed; the places themselves do not travel, since frames bring them.
+    ``vertices`` (V, 3) [m] at rest give the scale of ``uv``; they are not in the message, since frames bring them.
     """
     prefix = (wire.MAGIC, wire.WIRE_VERSION, wire.MESH, 0, 0, len(vertices))
     if not len(uv):
@@ -67,9 +67,8 @@ def _uv_metres(vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray, uv_faces
 def pack_body_mesh(
     vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, bones: np.ndarray, weights: np.ndarray
 ) -> bytes:
-    """Returns the BODY message of ``vertices`` (V, 3) [m] and ``faces`` (F, 3) at rest, its 24 ``joints`` (24, 3) [m],
-    and of each vertex four ``bones`` (V, 4) and their ``weights`` (V, 4), rows summing to one.
-    """
+    """Returns the BODY message of a body at rest: ``vertices`` (V, 3) [m], ``faces`` (F, 3), ``joints`` (24, 3) [m],
+    and for each vertex four ``bones`` (V, 4) and their skinning ``weights`` (V, 4), rows summing to one."""
     header = _BODY.pack(
         wire.MAGIC, wire.WIRE_VERSION, wire.BODY, 0, 0, len(vertices), len(faces), STEP_M, WEIGHT_STEP, *joints.ravel()
     )

@@ -106,13 +106,14 @@ def record(layout: Layout) -> struct.Struct:
 
 
 _POSE, _ACK, _FRAME, _SAME = (record(LAYOUTS[name]) for name in ("POSE", "ACK", "FRAME", "SAME"))
-STAMP_BYTES = record((*PREFIX, ("client_time_s", "f64", 1))).size  # what comes before these
+STAMP_BYTES = record((*PREFIX, ("client_time_s", "f64", 1))).size  # prefix and time of a POSE or RIG_POSE
 POSE_BYTES, ACK_BYTES, FRAME_HEADER_BYTES, SAME_BYTES = _POSE.size, _ACK.size, _FRAME.size, _SAME.size
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """One pose to drape: ``pose`` (24, 3) [rad], ``trans`` (3,) [m], the client's clock [s]."""
+    """One pose to drape: rotation vectors ``pose`` (24, 3) [rad], root translation ``trans`` (3,) [m], time of the
+    client's clock [s], and the number of the pose in the stream."""
 
     sequence: int
     client_time_s: float
@@ -124,11 +125,11 @@ class Pose:
 class Frame:
     """One draped frame. ``sequence`` and ``client_time_s`` are those of its pose.
 
-    ``positions`` (V, 3) float32 [m] relative to ``root`` (3,) float64 [m]; ``dropped`` counts the
-    session's poses that a newer one replaced; ``residence_us`` is the time between the arrival of
-    the pose and the sending of the frame; the push numbers are those of the push-out. ``stepped``: less was computed
-    than the client asked for. ``novelty``: how unlike training the pose is, above 1 more than it may be.
-    ``bits`` of a coordinate on the wire, 8 or 16.
+    ``positions`` (V, 3) float32 [m] count from ``root`` (3,) float64 [m] in the world's axes. ``dropped``: poses of the
+    stream that a newer one replaced, so far. ``residence_us``: time from the arrival of the pose to the sending of the
+    frame. ``pushed``: whether push-out was on; it moved ``pushed_share`` (0 to 1) of the vertices, the furthest by
+    ``push_max_m``. ``stepped``: less was computed than the client asked for. ``novelty``: how unlike training the pose
+    is; above 1 it is novel. A coordinate has ``bits`` on the wire, 8 or 16, and steps of ``box_step`` (3,) [m].
     """
 
     sequence: int
@@ -147,13 +148,13 @@ class Frame:
     bits: int = 16
 
     def vertices(self) -> np.ndarray:
-        """World positions [m] (V, 3), float64."""
+        """Returns the vertices [m] (V, 3) in the world, float64."""
         return self.positions + self.root
 
 
 @dataclass(frozen=True)
 class Answer:
-    """The part of a frame that belongs to the pose it answers; the fields are those of ``Frame``."""
+    """The fields of a ``Frame`` that belong to the pose which it answers."""
 
     sequence: int
     client_time_s: float
@@ -163,32 +164,34 @@ class Answer:
 
 
 def frame_flags(pushed: bool, stepped: bool, novelty: float) -> int:
-    """The ``flags`` of a FRAME or JETS message."""
+    """Returns the field ``flags`` of a FRAME or JETS message, without FLAG_BYTES; ``novelty`` in steps of 1/32."""
     steps = min(255, round(NOVELTY_STEPS * min(novelty, 255.0)))
     return FLAG_PUSHED * pushed | FLAG_STEPPED * stepped | FLAG_UNLIKE * (novelty > 1.0) | steps << NOVELTY_SHIFT
 
 
 def flagged_novelty(flags: int) -> float:
-    """Returns the novelty of the pose in a message with ``flags``, exact to 1/64: how unlike training it is, above 1
-    more than it may be.
-    """
+    """Returns the novelty in the ``flags`` of a FRAME or JETS message, exact to 1/64 and at most 8: above 1 the pose is
+    novel."""
     return (flags >> NOVELTY_SHIFT) / NOVELTY_STEPS
 
 
 def pack_pose(pose: Pose) -> bytes:
-    """The POSE message."""
+    """Returns the POSE message of ``pose``."""
     prefix = (MAGIC, WIRE_VERSION, POSE, 0, pose.sequence, 1)
     return _POSE.pack(*prefix, pose.client_time_s, *np.ravel(pose.trans), *np.ravel(pose.pose))
 
 
-def posed(message: bytes) -> bytes:
-    """Returns the bytes of translation and pose in a POSE or RIG_POSE ``message``. They are equal for two messages if
-    the body stands still."""
+def pose_content(message: bytes) -> bytes:
+    """Returns the bytes of translation and pose in a POSE or RIG_POSE ``message``. Messages of one pose have the
+    same."""
     return message[STAMP_BYTES:]
 
 
 def unpack_pose(message: bytes) -> Pose:
-    """The pose in ``message``; refuses another size, version or kind, and numbers that are not finite."""
+    """Returns the pose in the POSE ``message``.
+
+    Refuses (``InputError``) another size, version or kind, and numbers that are not finite.
+    """
     check_prefix("pose message", message, POSE, POSE_BYTES)
     values = _POSE.unpack(message)
     numbers = np.array(values[6:])
@@ -204,18 +207,18 @@ def unpack_pose(message: bytes) -> Pose:
 
 
 def pack_ack(sequence: int) -> bytes:
-    """The ACK message: the client has taken the frame ``sequence``."""
+    """Returns the ACK message, which says that the client has taken the frame ``sequence``."""
     return _ACK.pack(MAGIC, WIRE_VERSION, ACK, 0, sequence, 0)
 
 
 def unpack_ack(message: bytes) -> int:
-    """The acknowledged sequence number."""
+    """Returns the sequence number of the frame that the ACK ``message`` says was taken."""
     check_prefix("ack message", message, ACK, ACK_BYTES)
     return _ACK.unpack(message)[4]
 
 
 def message_kind(message: bytes) -> int:
-    """The kind byte of a message; refuses what is too short or not ours."""
+    """Returns the kind of a message, such as ``POSE``, unchecked; refuses (``InputError``) fewer than 16 bytes."""
     if len(message) < ACK_BYTES:
         raise InputError(
             "message",
@@ -227,7 +230,8 @@ def message_kind(message: bytes) -> int:
 
 
 def quantise(positions: np.ndarray, count: int = STEP_COUNT) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Steps (V, n) uint16 from 0 to ``count``, low corner (n,) and step size (n,) of the columns of ``positions``."""
+    """Returns ``positions`` (V, n) as steps (V, n) uint16 from 0 to ``count`` in the box of its columns, the box's low
+    corner (n,) and the size of a step (n,), float32 in the unit of ``positions``."""
     # By columns, a copy: along rows of three NumPy takes eight times as long.
     columns = np.array(positions.T, dtype=np.float32, order="C")
     low = columns.min(axis=1)
@@ -249,7 +253,7 @@ def dequantise(steps: np.ndarray, low: np.ndarray, step: np.ndarray) -> np.ndarr
 
 
 def pack_frame(frame: Frame, quantise: Quantise = quantise) -> bytes:
-    """The FRAME message: header, then 3 uint16 or bytes per vertex, padded to a multiple of 4 bytes.
+    """Returns the FRAME message of ``frame``: header, then 3 uint16 or bytes a vertex, padded to a multiple of 4 bytes.
 
     ``quantise`` may be another function with the same results.
     """
@@ -267,21 +271,21 @@ def pack_frame(frame: Frame, quantise: Quantise = quantise) -> bytes:
 
 
 def pack_same(answer: Answer) -> bytes:
-    """The SAME message: the last FRAME or JETS once more, as ``answer``."""
+    """Returns the SAME message, which says that the last FRAME or JETS answers the pose of ``answer`` too."""
     residence_us = min(answer.residence_us, 0xFFFFFFFF)
     prefix = (MAGIC, WIRE_VERSION, SAME, 0, answer.sequence, 0)
     return _SAME.pack(*prefix, answer.client_time_s, answer.server_time_s, answer.dropped, residence_us)
 
 
 def unpack_same(message: bytes) -> Answer:
-    """The answer in the SAME ``message``."""
+    """Returns the answer in the SAME ``message``; refuses (``InputError``) another size, version or kind."""
     check_prefix("same message", message, SAME, SAME_BYTES)
     values = _SAME.unpack(message)
     return Answer(values[4], *values[6:])
 
 
 def resent(message: bytes, answer: Answer) -> bytes:
-    """Returns the FRAME or JETS ``message`` with the numbers of ``answer`` in its header: the same frame, as the answer
+    """Returns the FRAME or JETS ``message`` with the fields of ``answer`` in its header: the same frame as the answer
     to another pose."""
     kind = {FRAME: "FRAME", JETS: "JETS"}[message_kind(message)]
     values = asdict(answer) | {"residence_us": min(answer.residence_us, 0xFFFFFFFF)}
@@ -295,7 +299,7 @@ def resent(message: bytes, answer: Answer) -> bytes:
 
 
 def unpack_frame(message: bytes) -> Frame:
-    """The frame in ``message``."""
+    """Returns the frame in the FRAME ``message``; refuses (``InputError``) another size, version or kind."""
     check_prefix("frame message", message, FRAME, least=FRAME_HEADER_BYTES)
     values = _FRAME.unpack_from(message)
     count = values[5]
@@ -325,7 +329,8 @@ def unpack_frame(message: bytes) -> Frame:
 
 
 def check_prefix(name: str, message: bytes, kind: int, size: int | None = None, *, least: int = ACK_BYTES) -> None:
-    """Refuses a ``message`` that has not ``size`` bytes, or ``least`` of them, or another magic, version or kind."""
+    """Refuses (``InputError``) a ``message`` of fewer than ``least`` bytes, of not ``size`` bytes where that is given,
+    or of another magic, version or ``kind``. ``name`` is what the refusal calls it."""
     if (size is not None and len(message) != size) or len(message) < least:
         wanted = f"{size} bytes" if size is not None else f"at least {least} bytes"
         raise InputError(
@@ -346,7 +351,8 @@ def check_prefix(name: str, message: bytes, kind: int, size: int | None = None, 
 
 
 def check_length(name: str, message: bytes, size: int, what: str) -> None:
-    """Refuses a ``message`` that has not ``size`` bytes; ``what`` says what its header needs them for."""
+    """Refuses (``InputError``) a ``message`` that has not ``size`` bytes. ``name`` is what the refusal calls it, and
+    ``what`` says what the bytes are for."""
     if len(message) != size:
         got = f"{len(message)} bytes"
         raise InputError(name, expected=f"{size} bytes {what}", got=got, cure="See docs/reference/wire.md.")

@@ -22,8 +22,8 @@ from drape.wire.colliders import COLLIDER_LIMIT, Collider
 LOGGER = logging.getLogger(__name__)
 # Every list stops at its first mistake: the answer tells one, and a million of them take seconds to write down.
 FIRST_ONLY = Field(fail_fast=True)
-LAYER_LIMIT = 64  # far beyond what a service drapes, which says how many that is
-SizeName = Annotated[str, Field(min_length=1, max_length=40)]  # which sizes there are, garments say
+LAYER_LIMIT = 64  # far beyond the number that a service drapes, which it tells
+SizeName = Annotated[str, Field(min_length=1, max_length=40)]
 Identifier = Annotated[str, Field(min_length=1, max_length=120)]
 Geometry = Literal["vertices", "jets"]
 Inertia = Literal["mesh", "network"]
@@ -217,7 +217,7 @@ class DrapeOptions(BaseModel):
         return others | {"advanced": flat | nested}
 
     def updated(self, **values: Any) -> Self:
-        """Returns these options with ``values``, which are named as the fields here or as those of ``Advanced``."""
+        """Returns a copy of these options with ``values`` by the names of fields here or of ``Advanced``."""
         deep = {name: values.pop(name) for name in Advanced.model_fields if name in values}
         return self.model_copy(update=values | {"advanced": self.advanced.model_copy(update=deep)})
 
@@ -237,12 +237,13 @@ def _said_twice(name: str, value: Any) -> ValidationError:
 
 
 def wire_names(model: type[BaseModel]) -> dict[str, str]:
-    """The names on the wire of the fields of ``model``, by their names in Python."""
+    """Returns the names on the wire of the fields of ``model``, by their names in Python."""
     return {name: field.alias or name for name, field in model.model_fields.items()}
 
 
 def options_document(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a request for ``options`` by their names in Python; None leaves one to the service.
+    """Returns the JSON fields of a request for ``options``, which have their names in Python; those that are None are
+    left out.
 
     Raises ``TypeError`` for an option that does not exist, as Python does for an argument.
     """

@@ -13,8 +13,8 @@ import numpy as np
 from drape.errors import InputError, MotionError
 from drape.wire import messages as wire
 
-FLAG_PLACED = 1  # where the pelvis is, is told
-UNIT_TOLERANCE = 1e-3  # as ``drape.motion.rig_poses`` takes them
+FLAG_PLACED = 1  # the message has the place of the pelvis
+UNIT_TOLERANCE = 1e-3  # that of ``drape.motion.rig_poses``
 _HEADER = wire.record(wire.LAYOUTS["RIG_POSE"])
 HEADER_BYTES = _HEADER.size
 SHOWN = 3  # nodes that a refusal names
@@ -22,8 +22,8 @@ SHOWN = 3  # nodes that a refusal names
 
 @dataclass(frozen=True, eq=False)
 class RigPose:
-    """One pose to drape: local ``quaternions`` (N, 4), xyzw, of the nodes; ``place`` (3,) [m] of the pelvis's, at rest
-    where None; the client's clock [s]."""
+    """One pose to drape: local ``quaternions`` (N, 4), x, y, z, w, of the rig's nodes; ``place`` (3,) [m], where the
+    node of the pelvis is in the world, None for its rest place; time of the client's clock [s]."""
 
     sequence: int
     client_time_s: float
@@ -32,7 +32,7 @@ class RigPose:
 
 
 def pack_rig_pose(pose: RigPose) -> bytes:
-    """The RIG_POSE message; refuses (``MotionError``) other shapes."""
+    """Returns the RIG_POSE message of ``pose``; refuses (``MotionError``) quaternions of another shape."""
     turns = np.asarray(pose.quaternions)
     if turns.ndim != 2 or turns.shape[1] != 4:
         cure = "Give one frame: x, y, z, w of each node."
@@ -44,7 +44,7 @@ def pack_rig_pose(pose: RigPose) -> bytes:
 
 
 def unpack_rig_pose(message: bytes, nodes: int) -> RigPose:
-    """Returns the pose in ``message`` for an avatar of ``nodes`` nodes.
+    """Returns the pose in the RIG_POSE ``message`` for an avatar of so many ``nodes``.
 
     Refuses (``InputError``) another size, version, kind or number of nodes and numbers that are not finite, and
     (``MotionError``) quaternions that are not of length one.

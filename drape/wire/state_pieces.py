@@ -16,14 +16,17 @@ _PREFIX = record(PREFIX)
 
 
 def split_state(blob: bytes, most: int = PIECE_BYTES) -> list[bytes]:
-    """STATE messages of at most ``most`` bytes that hold ``blob`` in order; none if it is empty."""
+    """Returns STATE messages of at most ``most`` bytes that hold the bytes ``blob`` in order; none if it is empty."""
     size = most - _PREFIX.size
     parts = [blob[start : start + size] for start in range(0, len(blob), size)]
     return [_PREFIX.pack(MAGIC, WIRE_VERSION, STATE, 0, index, len(parts)) + part for index, part in enumerate(parts)]
 
 
 def join_state(messages: Sequence[bytes]) -> bytes:
-    """The state that was split into ``messages``; refuses (``InputError``) anything but all pieces in their order."""
+    """Returns the bytes that ``split_state`` has split into ``messages``.
+
+    Refuses (``InputError``) anything but all pieces in their order.
+    """
     for index, message in enumerate(messages):
         kind = message_kind(message)
         prefix = _PREFIX.unpack_from(message)

@@ -89,7 +89,7 @@ def described(kind: str) -> Arrays:
 def garment_half() -> Ways:
     arrays = described("tank")
     embedding = EncoderGraph(trained())(wide(arrays))
-    found = exported("garment_encoder", arrays, "patch_first"), engine().first(arrays["patch_features"])
+    found = exported("garment_encoder", arrays, "patch_first"), engine().encode(arrays["patch_features"])
     return trained().decoder.from_patch(embedding).numpy(), dict(zip(("export", "engine"), found, strict=True))
 
 
@@ -98,7 +98,7 @@ def drape(kind: str, *, passes: int | None = None, shaped: bool = False, moved: 
     draw, body, whole = np.random.default_rng(2), load_body(), shipped(kind)
     betas = draw.normal(size=body.shape_count) if shaped else np.zeros(body.shape_count)
     code = draw.normal(scale=0.1 if moved else 0.0, size=(FRAMES, 256)).astype(np.float32)
-    feed, first = garment_feed(whole, body=body), engine().first(described(kind)["patch_features"])
+    feed, first = garment_feed(whole, body=body), engine().encode(described(kind)["patch_features"])
     arrays = body_feed(body, POSES, np.zeros((FRAMES, 3)), betas, skin=True).arrays | feed | {"dynamic_code": code}
     arrays["patch_embedding"] = EncoderGraph(trained())(wide(described(kind))).numpy()
     given = DrapeTensors.from_flat(wide({spec.name: arrays[spec.name] for spec in drape_inputs(trained())}))

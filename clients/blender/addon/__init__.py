@@ -18,18 +18,19 @@ from .service_calls import Refusal, Service
 
 TICK_S = 0.02
 LISTS = ("garments", "tiers", "fabrics", "motions")
-known: dict[str, list[str]] = {name: [] for name in LISTS}  # what the service has, as it was last asked
+known: dict[str, list[str]] = {name: [] for name in LISTS}  # ids that the service has, as of the last Connect
 started: list[LocalService] = []  # the service of this Blender
 
 
-def named(name: str, which: str, description: str = "") -> Any:
-    """Returns a property for a name that one of the service's lists has; a user may type another one."""
+def name_property(name: str, which: str, description: str = "") -> Any:
+    """Returns a text property of the panel that suggests the ids of one of ``LISTS``, ``which``; a user may type
+    others."""
     listed = {"search": lambda self, context, text: known[which], "search_options": {"SUGGESTION"}}
     return StringProperty(name=name, description=description, **listed)
 
 
 class Preferences(bpy.types.AddonPreferences):
-    """Where the service is, or what starts one."""
+    """The add-on's preferences: the address of the service and the key, or the environment that starts one."""
 
     bl_idname = __package__
     url: StringProperty(name="Address", default="http://127.0.0.1:8000")
@@ -42,20 +43,22 @@ class Preferences(bpy.types.AddonPreferences):
 
 
 class SceneSettings(bpy.types.PropertyGroup):
-    """The panel's settings of a scene: who wears what, and how it is baked."""
+    """The panel's settings of a scene: the character, what it wears, and how that is baked."""
 
-    armature: PointerProperty(name="Character", type=bpy.types.Object, poll=lambda self, one: one.type == "ARMATURE")
-    garment: named("Garment", "garments")
-    tier: named("Tier", "tiers", "How much is computed; empty: the service's own")
-    fabric: named("Fabric", "fabrics", "What it is made of; empty: its own")
-    motion: named("Motion", "motions", "Of our body; empty: none")
+    armature: PointerProperty(
+        name="Character", type=bpy.types.Object, poll=lambda self, thing: thing.type == "ARMATURE"
+    )
+    garment: name_property("Garment", "garments")
+    tier: name_property("Tier", "tiers", "How much is computed; empty: the service's own")
+    fabric: name_property("Fabric", "fabrics", "What it is made of; empty: its own")
+    motion: name_property("Motion", "motions", "Of our body; empty: none")
     form: EnumProperty(name="Bake to", items=FORMS)
 
 
 def service_of(context: Any) -> Service:
-    """The service that the preferences name."""
-    held = context.preferences.addons[__package__].preferences
-    service = Service(held.url, held.key)
+    """Returns the service that the preferences name; refuses (``Refusal``) another machine without Online Access."""
+    preferences = context.preferences.addons[__package__].preferences
+    service = Service(preferences.url, preferences.key)
     if not (service.is_local or bpy.app.online_access):
         cure = "Allow Online Access in the preferences (System), or use a service on this machine."
         raise Refusal("network", expected="leave to ask other machines", got="none", cure=cure)
@@ -63,7 +66,8 @@ def service_of(context: Any) -> Service:
 
 
 class Stepped:
-    """An operator whose work goes in steps: at once from a script, beside Blender from a button, where Esc ends it."""
+    """An operator whose work is a generator, ``steps(context)``. A script runs it to its end; a button runs it beside
+    Blender, and Esc ends it."""
 
     @classmethod
     def poll(cls, context: Any) -> bool:
@@ -113,7 +117,8 @@ class Connect(Stepped, bpy.types.Operator):
         service = service_of(context)
         for number, name in enumerate(LISTS):
             yield Step(number / len(LISTS), name)
-            known[name] = [one["id"] for one in service.json(name) if one["id"] != "exact"]  # a job of hours
+            ids = (entry["id"] for entry in service.json(name))
+            known[name] = [own for own in ids if own != "exact"]  # that tier is a job of hours
 
 
 class Start(Stepped, bpy.types.Operator):
@@ -122,17 +127,17 @@ class Start(Stepped, bpy.types.Operator):
     bl_idname, bl_label = "drape.start", "Start or end a service"
 
     def steps(self, context: Any) -> Steps:
-        held = context.preferences.addons[__package__].preferences
+        preferences = context.preferences.addons[__package__].preferences
         if started:
             return started.pop().end()
-        started.append(LocalService(held.environment))
+        started.append(LocalService(preferences.environment))
         try:
             while not started[0].ready():
                 yield Step(0.0, "The service starts", waits=True)
         except BaseException:
             started.pop().end()
             raise
-        held.url = started[0].url
+        preferences.url = started[0].url
         yield from Connect.steps(self, context)
 
 
@@ -156,7 +161,7 @@ class Bake(Stepped, bpy.types.Operator):
 
 
 class DrapePanel(bpy.types.Panel):
-    """Settings and buttons in the sidebar of the 3D view."""
+    """The panel of the add-on in the sidebar of the 3D view: settings and buttons."""
 
     bl_idname, bl_label, bl_category = "DRAPE_PT_panel", "Drape", "Drape"
     bl_space_type, bl_region_type = "VIEW_3D", "UI"
@@ -172,16 +177,16 @@ CLASSES = (Preferences, SceneSettings, Connect, Start, AddBody, Bake, DrapePanel
 
 
 def register() -> None:
-    """Adds the panel and what it needs."""
-    for each in CLASSES:
-        bpy.utils.register_class(each)
+    """Adds the add-on's classes and the scene's settings to Blender, which calls it."""
+    for kind in CLASSES:
+        bpy.utils.register_class(kind)
     bpy.types.Scene.drape = PointerProperty(type=SceneSettings)
 
 
 def unregister() -> None:
-    """Removes them, and ends the service that was started."""
+    """Removes what ``register`` has added, and ends the service that this Blender has started."""
     while started:
         started.pop().end()
     del bpy.types.Scene.drape
-    for each in reversed(CLASSES):
-        bpy.utils.unregister_class(each)
+    for kind in reversed(CLASSES):
+        bpy.utils.unregister_class(kind)

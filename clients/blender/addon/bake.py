@@ -13,11 +13,12 @@ import numpy as np
 
 from .armature import Y_UP, SceneCharacter
 from .garment_object import baked, check_form
-from .service_calls import Refusal, Service, Told, avatar_of, draped
+from .service_calls import Progress, Refusal, Service, avatar_of, draped
 
 
 class Step(NamedTuple):
-    """How much is done, 0 to 1, and what goes on; ``waits``: for the service."""
+    """The state of a bake: the ``share`` that is done, 0 to 1, and ``words`` on what goes on; ``waits``: whether it
+    waits for the service."""
 
     share: float
     words: str
@@ -27,30 +28,30 @@ class Step(NamedTuple):
 Steps = Generator[Step, None, Any]
 
 
-def bake(context: Any, service: Service, asked: Any) -> Steps:
-    """The steps of a bake of the scene's frames as the panel has ``asked`` for it; raises ``Refusal``.
+def bake(context: Any, service: Service, settings: Any) -> Steps:
+    """Yields the steps of a bake of the scene's frames by the panel's ``settings``; raises ``Refusal``.
 
-    Nothing is added before the last step; the current frame is what it was after the last and wherever they end.
+    The garment's object is added at the end. The scene's current frame is put back, also where a bake is left.
     """
     scene = context.scene
     frames, current = range(scene.frame_start, scene.frame_end + 1), scene.frame_current
-    if not asked.garment:
+    if not settings.garment:
         raise Refusal("garment", expected="a name", got="none", cure="Connect, then choose one of the service's.")
-    check_form(asked.form)
-    about: dict[str, Any] = {"garment": asked.garment, "fps": scene.render.fps / scene.render.fps_base}
-    about |= {name: value for name in ("tier", "fabric") if (value := getattr(asked, name))}
-    mesh = yield from _waited(lambda told: service.json("garments", asked.garment, "mesh"), 0.0, 0.02)
+    check_form(settings.form)
+    about: dict[str, Any] = {"garment": settings.garment, "fps": scene.render.fps / scene.render.fps_base}
+    about |= {name: value for name in ("tier", "fabric") if (value := getattr(settings, name))}
+    mesh = yield from _waited(lambda progress: service.json("garments", settings.garment, "mesh"), 0.0, 0.02)
     turns, places = [], []
     try:
         scene.frame_set(frames[0])
-        character = SceneCharacter(asked.armature)
+        character = SceneCharacter(settings.armature)
         if character.body:
-            who = yield from _waited(lambda told: service.json("bodies", character.body), 0.02, 0.2)
+            who = yield from _waited(lambda progress: service.json("bodies", character.body), 0.02, 0.2)
             pelvis, metres, rest = "pelvis", 1.0 / character.units, who["joints"][0]
         else:
             file = character.file(context)
             name = f"blender_{hashlib.sha256(file).hexdigest()[:24]}"  # another one after each change
-            who = yield from _waited(lambda told: avatar_of(service, file, name, told), 0.02, 0.2)
+            who = yield from _waited(lambda progress: avatar_of(service, file, name, progress), 0.02, 0.2)
             pelvis, metres, rest, about["avatar"] = who["joints"]["pelvis"], who["scale"], np.zeros(3), who["id"]
         for frame in frames:
             scene.frame_set(frame)
@@ -65,23 +66,23 @@ def bake(context: Any, service: Service, asked: Any) -> Steps:
     finally:
         scene.frame_set(current)
     clip = np.array(turns), metres * np.array(places) - rest
-    vertices = yield from _waited(lambda told: draped(service, about, *clip, told), 0.4, 0.95)
+    vertices = yield from _waited(lambda progress: draped(service, about, *clip, progress), 0.4, 0.95)
     vertices = vertices / metres @ np.array(Y_UP)
-    baked(context, mesh, vertices, first=frames[0], form=asked.form, wearer=character.armature.name)
+    baked(context, mesh, vertices, first=frames[0], form=settings.form, wearer=character.armature.name)
 
 
-def _waited(work: Callable[[Told], Any], first: float, last: float) -> Steps:
-    """Steps from the share ``first`` to ``last`` while ``work`` goes on beside Blender, and its answer. Who leaves the
-    steps ends the work."""
+def _waited(work: Callable[[Progress], Any], first: float, last: float) -> Steps:
+    """Yields steps from the share ``first`` to ``last`` while ``work`` runs beside Blender; returns its answer. Leaving
+    the steps ends the work."""
     step, wanted, threads = Step(first, "Asking the service", waits=True), True, ThreadPoolExecutor(1)
 
-    def told(share: float, words: str) -> None:
+    def progress(share: float, words: str) -> None:
         nonlocal step
         if not wanted:
             raise CancelledError
         step = Step(first + share * (last - first), words, waits=True)
 
-    ending = threads.submit(work, told)
+    ending = threads.submit(work, progress)
     try:
         while not ending.done():
             yield step

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A character as a GLB for the service: nodes, a skin, a surface.
 
-Blender's exporter writes what a user has set it to; here are the bones that a bake turns and nothing else. Nodes have
-no rotation at rest, so that a node's rotation in a frame is what its bone has turned by.
+Blender's exporter depends on the user's settings; this file has the bones that a bake turns and nothing else. Nodes
+have no rotation at rest, so a node's rotation in a frame is the one by which its bone has turned since its rest.
 """
 
 from __future__ import annotations
@@ -19,8 +19,11 @@ _NUMBERS = {"<f4": 5126, "<u2": 5123, "<u4": 5125}  # glTF's floats and unsigned
 def character_glb(
     names: Sequence[str], parents: Sequence[int], places: np.ndarray, surface: Sequence[np.ndarray]
 ) -> bytes:
-    """The file of bones ``names`` at ``places`` (N, 3), below ``parents`` (-1: none), and of a ``surface``: vertices
-    (V, 3), faces (F, 3), joints and weights (V, 4). All is y up, in any unit."""
+    """Returns the bytes of a GLB of N bones and a skinned surface, y up, in the unit of its places.
+
+    ``names``: the bones' names. ``places`` (N, 3): their heads at rest. ``parents``: their parents' indices, -1 for
+    none. ``surface``: vertices (V, 3), faces (F, 3), and bones (V, 4) and weights (V, 4) of each vertex.
+    """
     vertices, faces, joints, weights = surface
     nodes: list[dict] = [{"name": name} for name in names]
     for node, above in enumerate(parents):

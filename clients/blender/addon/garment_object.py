@@ -13,7 +13,7 @@ import numpy as np
 
 from .service_calls import Refusal
 
-WORN = "drape_worn"  # the property of a garment's object: who wears what
+WORN = "drape_worn"  # the property of a garment's object that names wearer and garment
 FORMS = (
     ("KEYS", "Shape keys", "A key for each frame, inside the file; other formats export them"),
     ("PC2", "Point cache", "A .pc2 beside the file, for long clips"),
@@ -22,19 +22,21 @@ _PC2_HEAD = struct.Struct("<12siiffi")
 
 
 def check_form(form: str) -> None:
-    """Refuses a point cache where there is no file beside which it could lie."""
+    """Refuses (``Refusal``) the form "PC2", a point cache, where the .blend file was never saved: it lies beside
+    that."""
     if form == "PC2" and not bpy.data.filepath:
         cure = "Save the file first, or bake to shape keys."
         raise Refusal("point cache", expected="a file beside which it lies", got="one that was never saved", cure=cure)
 
 
 def baked(context: Any, about: dict[str, Any], frames: np.ndarray, *, first: int, form: str, wearer: str) -> Any:
-    """The object of a garment, whose mesh is ``about``, at ``frames`` (F, V, 3) of the scene from the frame ``first``.
+    """Returns the scene's object of a garment that moves through ``frames`` (F, V, 3), in the scene's axes and units,
+    from the frame ``first`` on. ``about`` is the garment's mesh as the service describes it, ``form`` one of ``FORMS``.
 
-    The object of an earlier bake for the same ``wearer`` gets the new mesh, and keeps materials and modifiers.
+    The object of an earlier bake for the same ``wearer`` is used again, with its materials and modifiers.
     """
     mesh, worn = _mesh(about, frames[0]), f"{wearer}/{about['id']}"
-    garment = next((one for one in context.scene.objects if one.get(WORN) == worn), None)
+    garment = next((thing for thing in context.scene.objects if thing.get(WORN) == worn), None)
     if garment is None:
         materials = [bpy.data.materials.get(name) or bpy.data.materials.new(name) for name in about["materials"]]
         garment = bpy.data.objects.new(about["id"], mesh)
@@ -54,7 +56,7 @@ def baked(context: Any, about: dict[str, Any], frames: np.ndarray, *, first: int
 
 
 def _mesh(about: dict[str, Any], vertices: np.ndarray) -> Any:
-    """The mesh of a garment at ``vertices`` (V, 3), with its texture coordinates."""
+    """A new mesh of a garment at ``vertices`` (V, 3), with its texture coordinates."""
     mesh = bpy.data.meshes.new(about["id"])
     mesh.from_pydata(vertices.tolist(), [], about["faces"])
     if about["uv"]:
@@ -66,8 +68,8 @@ def _mesh(about: dict[str, Any], vertices: np.ndarray) -> Any:
 
 
 def _add_keys(garment: Any, frames: np.ndarray, first: int) -> None:
-    """A shape key for each frame but the first, which is the basis; each rises and falls between its neighbours, so
-    that between two frames the cloth is their mean."""
+    """Adds a shape key for each frame but the first, which is the basis. A key rises and falls between the frames
+    beside its own, so that between two frames the cloth is their mean."""
     edit, last = bpy.context.preferences.edit, first + len(frames) - 1
     before, edit.keyframe_new_interpolation_type = edit.keyframe_new_interpolation_type, "LINEAR"
     try:
@@ -83,7 +85,7 @@ def _add_keys(garment: Any, frames: np.ndarray, first: int) -> None:
 
 
 def _add_cache(garment: Any, frames: np.ndarray, first: int) -> None:
-    """A point cache beside the file, and the modifier that shows it."""
+    """Writes a point cache beside the .blend file, and adds the modifier that shows it."""
     path = bpy.path.abspath(f"//{bpy.path.clean_name(garment.name)}.pc2")
     head = _PC2_HEAD.pack(b"POINTCACHE2\0", 1, frames.shape[1], 0.0, 1.0, len(frames))
     try:

@@ -16,14 +16,15 @@ from .service_calls import GLB, Service
 
 
 def add_our_body(context: Any, service: Service, motion: str) -> Any:
-    """The armature of the service's body in the scene, in the ``motion`` that is named, from the first frame on."""
+    """Adds the service's body to the scene and returns its armature, with keyframes of the sample clip ``motion`` from
+    the scene's first frame on; none if ``motion`` is empty."""
     clip = service.json("motions", motion) if motion else {"poses": [], "trans": [], "fps": 1.0}
     body = service.json("bodies")[0]["id"]
-    with service.asked("GET", f"/bodies/{body}/mesh", accept=GLB) as answer, tempfile.TemporaryDirectory() as folder:
+    with service.request("GET", f"/bodies/{body}/mesh", accept=GLB) as answer, tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "body.glb"
         path.write_bytes(answer.read())
         bpy.ops.import_scene.gltf(filepath=str(path), disable_bone_shape=True)
-    armature, scene = next(one for one in context.selected_objects if one.type == "ARMATURE"), context.scene
+    armature, scene = next(thing for thing in context.selected_objects if thing.type == "ARMATURE"), context.scene
     armature[BODY], armature.name = body, "Drape body"
     bones, axes = [armature.pose.bones[name] for name in JOINTS], []
     for bone in bones:

@@ -17,30 +17,32 @@ from urllib.parse import quote, urlencode, urlsplit
 import numpy as np
 
 BINARY, GLB, JSON = "application/octet-stream", "model/gltf-binary", "application/json"
-OPTION_BYTES = 16384  # of a request, besides its frames
-PIECE_BYTES = 1 << 18  # of an answer that are read at once
+OPTION_BYTES = 16384  # room in a request for all but its frames
+PIECE_BYTES = 1 << 18  # an answer is read in pieces of at most so many
 ANSWER_S, POLL_S = 120.0, 0.25
 MAGIC, VERSION, CLIP, PLACED = 0x45505244, 1, 6, 1  # docs/reference/wire.md
 _HEAD = struct.Struct("<IBBHIIII")
 
-Told = Callable[[float, str], None]
-"""Hears the share that is done, 0 to 1, and what goes on; what it raises ends the work."""
+Progress = Callable[[float, str], None]
+"""It is called with the share that is done, 0 to 1, and words on what goes on; an exception that it raises ends the
+work."""
 
 
 class Refusal(Exception):
-    """A refusal of the add-on or of the service; ``str()`` is a sentence with its cure, as of ``drape.errors``."""
+    """A refusal of the add-on or of the service. ``str()`` says what was expected, what came, and what cures it."""
 
     def __init__(self, name: str, *, expected: str, got: str, cure: str) -> None:
         super().__init__(f"{name}: expected {expected}, got {got}. {cure}")
 
 
 def refusal_of(document: Mapping[str, str]) -> Refusal:
-    """The refusal in a problem document of the service."""
+    """Returns the refusal in a problem ``document`` of the service."""
     return Refusal(document["name"], **{key: document[key] for key in ("expected", "got", "cure")})
 
 
 class Service:
-    """A service at ``url``; ``key`` is the API key, empty where the service asks for none."""
+    """A service at ``url``; ``key`` is the API key, empty where the service asks for none. ``is_local``: whether it is
+    on this machine. Refuses (``Refusal``) a ``url`` that is no address."""
 
     def __init__(self, url: str, key: str = "") -> None:
         self.url, parts = url.strip().rstrip("/"), urlsplit(url.strip())
@@ -49,13 +51,13 @@ class Service:
             raise Refusal("address", expected="one such as http://127.0.0.1:8000", got=repr(url), cure=cure)
         self.is_local = parts.hostname in ("127.0.0.1", "::1", "localhost")
         self._headers = {"Authorization": f"Bearer {key}"} if key else {}
-        # A proxy of the network knows nothing of this machine.
+        # A proxy of the network does not reach services on this machine.
         self._opener = urllib.request.build_opener(*([urllib.request.ProxyHandler({})] if self.is_local else []))
 
     @contextmanager
-    def asked(self, method: str, path: str, content: bytes | None = None, *, accept: str = JSON) -> Iterator[Any]:
-        """Yields the open answer to a request. Raises the service's refusal, and a refusal where no whole answer
-        comes."""
+    def request(self, method: str, path: str, content: bytes | None = None, *, accept: str = JSON) -> Iterator[Any]:
+        """A context with the open response to a request. Raises the service's refusal (``Refusal``), and one where no
+        whole response comes."""
         headers = {**self._headers, "Accept": accept, "Content-Type": BINARY}
         request = urllib.request.Request(self.url + path, content, headers, method=method)
         try:
@@ -73,9 +75,10 @@ class Service:
             raise Refusal(f"service at {self.url}", expected="an answer", got=got, cure=cure) from error
 
     def json(self, *names: str, method: str = "GET", content: bytes | None = None, **query: str) -> Any:
-        """Returns the parsed JSON that the service answers at the path made of ``names``."""
+        """Returns the parsed JSON of the response at the path made of ``names``, with the parameters ``query``; None if
+        it is empty. Raises what ``request`` does."""
         path = "".join(f"/{quote(name, safe='')}" for name in names) + (f"?{urlencode(query)}" if query else "")
-        with self.asked(method, path, content) as answer:
+        with self.request(method, path, content) as answer:
             text = answer.read()
         try:
             return json.loads(text or b"null")
@@ -87,16 +90,16 @@ class Service:
         return Refusal(self.url, expected="an answer of the drape service", got=got, cure=cure)
 
 
-def avatar_of(service: Service, glb: bytes, name: str, told: Told) -> dict[str, Any]:
-    """Returns what the service tells of the avatar called ``name``. If it has none, the character ``glb`` is uploaded
-    first.
-    """
-    if found := [one for one in service.json("avatars") if one["name"] == name]:
-        return found[0]
+def avatar_of(service: Service, glb: bytes, name: str, progress: Progress) -> dict[str, Any]:
+    """Returns the service's document of the avatar called ``name``: id, joints, nodes, scale. If there is none, the
+    character ``glb`` is uploaded first. Raises ``Refusal``."""
+    for avatar in service.json("avatars"):
+        if avatar["name"] == name:
+            return avatar
     job = service.json("avatars", method="POST", content=glb, name=f"{name}.glb")
     try:
         while job["state"] in ("queued", "running"):
-            told(job["share"] or 0.0, "The service takes the character in")
+            progress(job["share"] or 0.0, "The service takes the character in")
             time.sleep(POLL_S)
             job = service.json("jobs", job["id"])
     except Exception:
@@ -109,11 +112,14 @@ def avatar_of(service: Service, glb: bytes, name: str, told: Told) -> dict[str, 
     return service.json("avatars", job["avatar"])
 
 
-def draped(service: Service, about: dict[str, Any], turns: np.ndarray, places: np.ndarray, told: Told) -> np.ndarray:
-    """Returns the vertices [m] (F, V, 3) of a garment over a clip, y up.
+def draped(
+    service: Service, about: dict[str, Any], turns: np.ndarray, places: np.ndarray, progress: Progress
+) -> np.ndarray:
+    """Returns the vertices [m] (F, V, 3) float32 of a garment over a clip, y up.
 
-    ``turns`` are poses (F, 24, 3) [rad], or quaternions (F, N, 4), xyzw, of an avatar's nodes; ``places`` (F, 3) [m]
-    the translations. A clip that is longer than a request may be goes in pieces.
+    ``about`` are the JSON fields of the request. ``turns`` are poses (F, 24, 3) [rad], or local quaternions (F, N, 4),
+    x, y, z, w, of an avatar's nodes; ``places`` (F, 3) [m] the translations. A clip that is longer than a request may
+    be goes in pieces. Raises ``Refusal``.
     """
     health = service.json("health")
     frame_bytes = 8 * (turns[0].size + 3)
@@ -121,23 +127,24 @@ def draped(service: Service, about: dict[str, Any], turns: np.ndarray, places: n
     parts, past, total = [], {}, len(turns)
     for start in range(0, total, most):
         rows = slice(start, start + most)
-        asked = {**about, **past, "streamed": True, "keep": rows.stop < total}
-        clip = packed_clip(asked, turns[rows], places[rows])
-        with service.asked("POST", "/drape", clip, accept=BINARY) as answer:
+        fields = {**about, **past, "streamed": True, "keep": rows.stop < total}
+        clip = packed_clip(fields, turns[rows], places[rows])
+        with service.request("POST", "/drape", clip, accept=BINARY) as answer:
             frames = np.empty((len(turns[rows]), int(answer.headers["X-Drape-Vertices"]), 3), "<f4")
-            past, room, done = {"past": answer.headers["X-Drape-Past"]}, frames.data.cast("B"), 0
-            while done < len(room):
-                told((start + len(frames) * done / len(room)) / total, "Draping")
+            past, room, end = {"past": answer.headers["X-Drape-Past"]}, frames.data.cast("B"), 0
+            while end < len(room):
+                progress((start + len(frames) * end / len(room)) / total, "Draping")
                 if not (piece := answer.read1(PIECE_BYTES)):
-                    raise http.client.IncompleteRead(b"", len(room) - done)
-                room[done : done + len(piece)] = piece
-                done += len(piece)
+                    raise http.client.IncompleteRead(b"", len(room) - end)
+                room[end : end + len(piece)] = piece
+                end += len(piece)
         parts.append(frames)
     return np.concatenate(parts)
 
 
 def packed_clip(about: Mapping[str, Any], turns: np.ndarray, places: np.ndarray) -> bytes:
-    """The CLIP message of a clip, as ``drape.wire.clip_message`` packs it."""
+    """Returns the CLIP message (docs/reference/wire.md) of the JSON fields ``about``, ``turns`` (F, 24, 3) [rad] or
+    (F, N, 4), and ``places`` (F, 3) [m]."""
     text = json.dumps(about, separators=(",", ":"), allow_nan=False).encode()
     nodes = turns.shape[1] if turns.shape[2] == 4 else 0
     head = _HEAD.pack(MAGIC, VERSION, CLIP, PLACED, 0, len(turns), len(text), nodes)

@@ -36,7 +36,7 @@ INLINE Felt felt_at(double d, Barrier barrier) {
   return {energy, slope, -k * (2 * log + 4 * off / d - off * off / (d * d))};
 }
 
-// The barrier's energy [J]; adds its gradient [N] (V, 3).
+// Returns the barrier's energy [J] at x [m] (V, 3), and adds its gradient [N] (V, 3).
 inline double push_apart(const double* x, Pairs pairs, Barrier barrier, double* gradient) {
   double total = 0;
   for (int64_t n = 0; n < pairs.count; ++n) {
@@ -51,7 +51,8 @@ inline double push_apart(const double* x, Pairs pairs, Barrier barrier, double* 
   return total;
 }
 
-// Adds the positive part of the barrier's Hessian [N/m] to blocks (N, 3, 3); place (pairs, 4, 4) has each pair's own.
+// Adds the positive part of the barrier's Hessian [N/m] to blocks (N, 3, 3). place (pairs, 4, 4) are the blocks of each
+// pair's corners.
 inline void add_curvature(const double* x, Pairs pairs, Barrier barrier, const int32_t* place, double* blocks) {
   for (int64_t n = 0; n < pairs.count; ++n) {
     const Way found = pairs::way_of(x, pairs, n);
@@ -63,8 +64,8 @@ inline void add_curvature(const double* x, Pairs pairs, Barrier barrier, const i
   }
 }
 
-// Writes to share (V,) how much of step [m] (V, 3) each vertex may go, at most 1. If all go by the least, every pair
-// keeps at least KEPT of its distance on all of the way.
+// Writes to share (V,) which part of its step [m] (V, 3) each vertex may go, at most 1. If all vertices go the least
+// part, every pair keeps at least KEPT of its distance all the way.
 inline void free_shares(const double* x, int64_t count, const double* step, Pairs pairs, double* share) {
   for (int64_t v = 0; v < count; ++v) share[v] = 1;
   for (int64_t n = 0; n < pairs.count; ++n) {
@@ -94,8 +95,8 @@ inline void free_shares(const double* x, int64_t count, const double* step, Pair
   }
 }
 
-// Bends step [m] (V, 3) until, to first order, every pair keeps KEPT of its distance, and gains gain [m] where it is
-// nearer than near [m]: projections onto one pair after the other.
+// Changes step [m] (V, 3) until, to first order, every pair keeps KEPT of its distance, and pairs nearer than near [m]
+// come apart by gain [m]: projections onto one pair after the other.
 inline void yield_to(const double* x, double* step, Pairs pairs, double near, double gain, Scratch& scratch) {
   Way* ways = scratch.take<Way>(pairs.count);
   double* least = scratch.take<double>(pairs.count);

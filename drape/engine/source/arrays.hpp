@@ -2,7 +2,7 @@
 #pragma once
 #include "platform.hpp"
 
-// Where numbers begin, in eight bytes on every processor, and how many they are.
+// The address at which numbers begin, in eight bytes on every processor, and how many they are.
 template <class N> struct Array {
   union {
     N* begin;

@@ -18,15 +18,15 @@ constexpr double FADED = 14;       // exponent at which a weight counts as none:
 constexpr double CLEAR_M = 0.005;  // the most that a point which does not touch moves before it is looked at again
 
 struct Skin { const double *point, *normal; int64_t count; };
-// Where each point was blended last (V, 3), how far [m] from there it keeps its plane (V,), and whether no skin is
-// within reach (V,).
+// Of each point: where it was when its plane was blended last (V, 3), how far [m] from there the plane holds (V,), and
+// whether no skin was within reach (V,).
 struct Last { double *blended, *clear; uint8_t* beyond; };
 struct Planes { double *point, *normal, *bend; };  // (V, 3), (V, 3), (V, 3, 3)
 struct Weighted { int64_t point; double weight; };  // of the skin
 
-// Writes the planes of the points x [m] (V, 3) that are not within their clear way: the distance at a plane's point is
-// that of the blend, the normal is its gradient and bend has its second derivatives. A point with no skin within reach
-// [m] keeps its plane and is marked. Contact begins at gap [m].
+// Writes new planes for those points x [m] (V, 3) that have left the distance within which their plane holds. The
+// distance at a plane's point is that of the blended skin, the normal is its gradient, and bend has its second
+// derivatives. A point with no skin within reach [m] keeps its plane and is marked. Contact begins at gap [m].
 inline void blend(const double* x, int64_t count, Skin skin, double reach_m, double gap, Last last, Planes planes,
                   Scratch& scratch) {
   const Grid grid = grid_of(skin.point, skin.count, 3, 1 / reach_m, scratch);
@@ -51,7 +51,8 @@ inline void blend(const double* x, int64_t count, Skin skin, double reach_m, dou
       last.beyond[v] = true;
       continue;
     }
-    // After a move by c what is blended is nearer than wide, and so within reach: no plane of those may be met.
+    // After a move by c the blended samples are nearer than wide, and so within reach, and no plane of theirs may be
+    // met.
     const double most = less(least + faded, reach), near = root(least);
     const double c = less(CLEAR_M, more((reach - faded - least) / (2 * (near + reach_m)), 0.0));
     const double outer = root((near + c) * (near + c) + faded) + c, wide = outer * outer;
@@ -74,13 +75,14 @@ inline void blend(const double* x, int64_t count, Skin skin, double reach_m, dou
     Symmetric<double> bend = {};
     for (int64_t i = 0; i < filled; ++i) {
       const Point way = own - point(skin.point, blended[i].point), normal = point(skin.normal, blended[i].point);
-      // The derivative of log w_i less that of log sum w: towards b_i from the mean of all b.
+      // The derivative of log w_i less that of log sum w points to b_i from the mean of all b.
       const Point turn = scaled(2 * sharp, mean - way);
       const double over = dot(way, normal) - distance, weight = blended[i].weight / total;
       slope = plus(slope, weight, plus(normal, over, turn));
       bend = squares(bend, weight * over, weight, 0.0, turn, normal, 0.0);
     }
-    // Where planes of several sides are blended the distance falls faster than the way, each of them does not.
+    // Where planes of several sides are blended, the distance falls faster than the way is long; each plane's own does
+    // not.
     last.clear[v] = less(c, more(lowest - gap, 0.0));
     put_point(planes.point, v, plus(own, -distance / dot(slope, slope), slope));
     put_point(planes.normal, v, slope);

@@ -9,7 +9,7 @@ constexpr int JOINTS = 24, STATIC_PER_JOINT = 9;
 TABLE int PARENTS[JOINTS] = {-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21};
 constexpr int PART_SIZE = 48, REGION_SIZE = 12;  // samples that are posed together, and that are looked up together
 
-// The product of the quaternions wxyz a and b.
+// Writes the product of the quaternions a and b (wxyz).
 template <class T> INLINE void put_product(const T* a, const T* b, T* out) {
   out[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3];
   out[1] = a[1] * b[0] + a[0] * b[1] - a[3] * b[2] + a[2] * b[3];
@@ -17,7 +17,7 @@ template <class T> INLINE void put_product(const T* a, const T* b, T* out) {
   out[3] = a[3] * b[0] - a[2] * b[1] + a[1] * b[2] + a[0] * b[3];
 }
 
-// The matrix (9,) of a quaternion of any length.
+// Writes the rotation matrix (9,) of a quaternion (wxyz) of any length.
 template <class T> INLINE void put_matrix(const T* q, T* out) {
   const T w = q[0], x = q[1], y = q[2], z = q[3], two = T(2) / (w * w + x * x + y * y + z * z);
   out[0] = T(1) - two * (y * y + z * z), out[1] = two * (x * y - w * z), out[2] = two * (x * z + w * y);
@@ -43,8 +43,8 @@ template <class T> INLINE Vector<T> turned_vector(const T* matrix, Vector<T> a) 
           matrix[6] * a.x + matrix[7] * a.y + matrix[8] * a.z};
 }
 
-// Writes quaternions (24, 4), rotations (24, 9) and joints [m] (24, 3) of bones with local quaternions (24, 4) and
-// joints rest [m] (24, 3). The root stays at its place.
+// Writes the bones' quaternions (24, 4), rotations (24, 9) and joints [m] (24, 3) in the body's frame, from local
+// quaternions (24, 4) and the joints at rest [m] (24, 3). The root stays at its place.
 template <class T> DEVICE void pose_bones(const T* local, const T* rest, T* quaternion, T* rotation, T* place) {
   for (int64_t first : each(1))  // a bone needs those before it
     for (int64_t joint = first; joint < JOINTS; ++joint) {
@@ -60,13 +60,14 @@ template <class T> DEVICE void pose_bones(const T* local, const T* rest, T* quat
     }
 }
 
-// Writes drape.body.features.static_features of local quaternions and the bones' rotation (24, 9).
+// Writes drape.body.features.static_features (24, 9) of a body with local quaternions (24, 4) and the bones' rotations
+// (24, 9).
 template <class T> DEVICE void describe_pose(const T* local, const T* rotation, T* features) {
   for (int64_t joint : each(JOINTS)) {
     T matrix[9], *own = features + STATIC_PER_JOINT * joint;
     put_matrix(local + 4 * joint, matrix);
     for (int i = 0; i < 3; ++i) {
-      // The root's own turn is not told.
+      // The root's own turn is no feature.
       own[i] = joint ? matrix[3 * i] : T(i == 0);
       own[3 + i] = joint ? matrix[3 * i + 1] : T(i == 1);
       own[6 + i] = -rotation[9 * joint + 3 + i];
@@ -74,9 +75,9 @@ template <class T> DEVICE void describe_pose(const T* local, const T* rotation, 
   }
 }
 
-// Writes what drape.body.features.Kinematics has of bodies with local quaternions (F, 24, 4), root translations trans
-// [m] (F, 3) and joints rest [m] (24, 3): static descriptors (F, 24, 9), joints [m] (F, 24, 3) and rotations (F, 24,
-// 9).
+// Writes the fields of drape.body.features.Kinematics for F bodies with local quaternions (F, 24, 4), root translations
+// trans [m] (F, 3) and joints at rest [m] (24, 3): static descriptors (F, 24, 9), joints [m] (F, 24, 3) and rotations
+// (F, 24, 9).
 template <class T>
 void describe_bodies(const T* local, const T* trans, const T* rest, int64_t frames, T* features, T* joints,
     T* rotations) {
@@ -89,7 +90,8 @@ void describe_bodies(const T* local, const T* trans, const T* rest, int64_t fram
   }
 }
 
-// Writes the eight numbers of so many samples: point, its square, normal, and their product.
+// Writes the eight numbers of each of so many samples: the point, its square, the normal, and the product of normal and
+// point.
 template <class T> INLINE void put_samples(T* skin, Points<T> p, Points<T> n, int count) {
   const Row<T> square = dot(p, p), across = dot(p, n);
   for (int k = 0; k < WIDTH && k < count; ++k) {
@@ -137,8 +139,9 @@ DEVICE void pose_skin(const T* rotation, const T* translation, const BodyFeed<T>
   });
 }
 
-// Writes how unlike kept poses the poses with joint matrices (F, 24, 9) are, (F,): of the parts of a body the largest
-// distance from the nearest kept one. A part is a layer that gives |k|^2 - 2 k.x of each kept pose k.
+// Writes how unlike the kept poses the poses with joint matrices (F, 24, 9) are, (F,): the largest, over the parts of a
+// body, of the distances from the nearest kept pose. A part is a layer that computes |k|^2 - 2 k.x for each kept pose
+// k.
 template <class T>
 DEVICE void compare_poses(const KeptPoses<T>& kept, const T* matrices, int64_t frames, T* novelty, Scratch& scratch) {
   int64_t most_ = 0;
@@ -164,7 +167,7 @@ DEVICE void compare_poses(const KeptPoses<T>& kept, const T* matrices, int64_t f
   }
 }
 
-// Writes the mean points of regions of samples [m] (R, 4), with half of their squares.
+// Writes for each region of samples its mean point [m] and half of that point's square, (R, 4).
 template <class T> DEVICE void put_regions(const T* skin, int64_t regions, T* region) {
   for (int64_t r : each(regions)) {
     Vector<T> mean = {};
@@ -175,9 +178,9 @@ template <class T> DEVICE void put_regions(const T* skin, int64_t regions, T* re
   }
 }
 
-// Poses a body for the network: writes the bones, the body's half of the first layer (code), the samples of the skin,
-// which are given where the feed has no rows for them, and the mean points of its regions [m] (R, 4), with half of
-// their squares.
+// Poses a body for the network: writes the bones, code (the body's half of the network's first layer), the posed skin
+// samples, which are given where the feed has no rows for them, and for each region its mean point [m] and half of that
+// point's square, (R, 4).
 template <class T> DEVICE void pose_body(const Weights<T>& weights, const BodyFeed<T>& feed, PosedBody<T>& body,
     Scratch& scratch) {
   const int64_t mark = scratch.used;

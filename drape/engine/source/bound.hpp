@@ -13,7 +13,7 @@ template <class T> INLINE Vector<T> unit(Vector<T> a) {
   return scaled(T(1) / more(root(dot(a, a)), T(1e-12)), a);
 }
 
-// Adds to normal (V, 3) the area normals, twice as long, of faces (F, 3) at their corners.
+// Adds to normal (V, 3), at the corners of faces (F, 3), the faces' normals, as long as twice their areas [m^2].
 template <class T>
 INLINE void add_area_normals(const T* cloth, const int32_t* faces, int64_t face_count, T* normal) {
   for (int64_t f = 0; f < face_count; ++f) {
@@ -24,7 +24,8 @@ INLINE void add_area_normals(const T* cloth, const int32_t* faces, int64_t face_
   }
 }
 
-// Writes drawn (D, 3) of cloth (V, 3). The corners of OFF vertices are asked (n,); faces (F, 3) are all that touch them.
+// Writes the vertices drawn [m] (D, 3) of a mesh that hangs on cloth [m] (V, 3). asked (n,) are the corners of OFF
+// vertices; faces (F, 3) are all triangles that touch them.
 template <class T>
 void draw(const T* cloth, int64_t vertices, const int32_t* faces, int64_t face_count, const int32_t* asked,
           int64_t asked_count, const int32_t* corner, const T* weight, const T* offset, const uint8_t* kind, int64_t count,

@@ -11,8 +11,8 @@ template <class T> INLINE T box_square(Vector<T> low, Vector<T> high, const T* b
   const T z = most<T>(most<T>(lowest.z - high.z, low.z - highest.z), T(0));
   return x * x + y * y + z * z;
 }
-// Calls see(b) for each of the clusters from first on whose box is nearer than the root of reach [m^2] to the one from
-// low to high, in rising order.
+// Calls see(b), in rising order, for each cluster from first on whose box is nearer than the root of reach [m^2] to the
+// box from low to high.
 template <class T, class See>
 INLINE void see_near(Vector<T> low, Vector<T> high, const Boxes<T>& boxes, int64_t first, const T& reach, See see) {
   const int64_t groups = whole_blocks(boxes.count);

@@ -15,7 +15,7 @@
 
 constexpr int CARRY_PASSES = 3;  // of turns (smooth_turns): none leave jitter
 
-// Writes dE/dx [N] (P, 3) at x, for places before [m] (P, 3) and turns (P, 4) since then.
+// Writes the gradient dE/dx [N] (P, 3) at x [m], for places before [m] (P, 3) and turns (P, 4) since then.
 template <class T>
 DEVICE void carry_gradient(const T* x, const T* before, const T* turns, const Sheet<T>& sheet, T* gradient) {
   const Fabric<T> k(sheet.constants);
@@ -41,7 +41,8 @@ DEVICE void carry_gradient(const T* x, const T* before, const T* turns, const Sh
   }
 }
 
-// Moves x [m] (P, 3) in place by so many steps, by the frames of the network's surface before and now.
+// Moves x [m] (P, 3) in place by so many steps of the carry. before [m] (P, 3) are the places of the frame before; then
+// and now are the frames of the network's surface in that frame and in this one.
 template <class T>
 DEVICE void carry(T* x, const T* before, const T* then, const T* now, const Sheet<T>& sheet,
                   const StiffnessFactor<T>& factor, int64_t steps, Scratch& scratch) {

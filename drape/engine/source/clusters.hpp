@@ -18,7 +18,7 @@ template <class T> struct Boxes {
 
 INLINE int64_t whole_blocks(int64_t count) { return (count + LANES - 1) / LANES; }
 
-// The least and the largest of a row's lanes; NaN where the first lane is one.
+// Returns the least, and below the largest, of a row's lanes; NaN where the first lane is one.
 template <class T> INLINE T least_lane(Row<T> a) {
   T found = number_in(a, 0);
   for (int k = 1; k < WIDTH; ++k) found = less<T>(number_in(a, k), found);
@@ -56,7 +56,7 @@ template <class T> INLINE void enclose(const T* low, const T* high, T* boxes, in
   }
 }
 
-// Boxes that fill up the last rows are far from everything.
+// Returns boxes that fill up the last rows: they are far from everything.
 template <class T> INLINE T* no_boxes(int64_t blocks, Scratch& scratch) {
   T* boxes = scratch.take<T>(BOX_ROWS * blocks);
   if (scratch.overflowed) return boxes;
@@ -66,8 +66,8 @@ template <class T> INLINE T* no_boxes(int64_t blocks, Scratch& scratch) {
   return boxes;
 }
 
-// The boxes [m] around count clusters, which have size numbers of rows each, and those around groups of them. Three
-// rows from low on have the least coordinates of a cluster's members, three from high on the most.
+// Returns the boxes [m] around count clusters, each of size rows, and around groups of clusters. Three rows from low on
+// have the least coordinates of a cluster's members, and three from high on the largest.
 template <class T>
 DEVICE Boxes<T> boxes_around(const T* rows, int64_t count, int size, int low, int high, Scratch& scratch) {
   const int64_t groups = whole_blocks(count), blocks = whole_blocks(groups);
@@ -80,7 +80,7 @@ DEVICE Boxes<T> boxes_around(const T* rows, int64_t count, int size, int low, in
 }
 
 #ifndef ONE_LANE
-// The lanes of sixteen boxes within the root of reach [m^2] of the box from low to high.
+// Returns the bits of those of sixteen boxes that lie within the root of reach [m^2] of the box from low to high.
 template <class T> INLINE uint32_t hits(Vector<T> low, Vector<T> high, const T* boxes, T reach) {
   Points<T> lowest = rows3_at(boxes), highest = rows3_at(boxes + 3 * LANES);
   const Row<T> zero = row_of(T(0));
@@ -90,7 +90,8 @@ template <class T> INLINE uint32_t hits(Vector<T> low, Vector<T> high, const T* 
   return lanes_of<T>(row_of(reach) > x * x + y * y + z * z);
 }
 
-// How many of the clusters from a on have a box within the root of reach [m^2] of that of a. They are written to found.
+// Writes to found the clusters from a on whose box lies within the root of reach [m^2] of the box of a, and returns
+// their number.
 template <class T> INLINE int64_t find_close(int64_t a, const Boxes<T>& boxes, T reach, int32_t* found) {
   const T* own = boxes.of + BOX_ROWS * (a / LANES) + a % LANES;
   const Vector<T> low = {own[0], own[LANES], own[2 * LANES]}, high = {own[3 * LANES], own[4 * LANES], own[5 * LANES]};
@@ -139,10 +140,10 @@ template <class T> struct NormalsOf {
 };
 #endif
 
-// Writes the axis of each cluster's normals to cones (C, 4), and the cosine of the angle up to which the axes of two
-// such clusters count as one, above 1 where none does. Clusters have size numbers of rows each, the normals, of any
-// length, in three rows from first on. The cone's angle is less than a right one; its cosine, and cosine and sine of
-// twice it, are given.
+// Writes for each cluster the axis of its normals to cones (C, 4), and the cosine of the angle up to which the axes of
+// two such clusters count as one; above 1 where none does. Clusters have size rows each; the normals, of any length,
+// are the three rows from first on. angle is the cone's, less than a right one: its cosine, and cosine and sine of
+// twice it.
 struct ConeAngle { double cosine, cosine_twice, sine_twice; };
 template <class T>
 DEVICE void write_cones(const T* rows, int64_t count, int size, int first, ConeAngle angle, T* cones) {
@@ -151,7 +152,7 @@ DEVICE void write_cones(const T* rows, int64_t count, int size, int first, ConeA
     Vector<T> axis = normals.sum();
     axis = scaled(T(1) / more<T>(root(dot(axis, axis)), T(TINY)), axis);
     const T cosine = less<T>(normals.least_along(axis), T(1));
-    // cos 2 (angle - a), a the largest angle of a normal to the axis
+    // This is cos 2 (angle - a); a is the largest angle between a normal and the axis.
     const T sine = root(more<T>(T(1) - cosine * cosine, T(0)));
     const T limit =
         T(angle.cosine_twice) * (T(2) * cosine * cosine - T(1)) + T(angle.sine_twice) * T(2) * cosine * sine;
@@ -160,10 +161,10 @@ DEVICE void write_cones(const T* rows, int64_t count, int size, int first, ConeA
   }
 }
 
-// Whether all normals of two clusters are within the cones' angle of the axis between theirs: with b the angle between
-// their axes and a the larger one of a normal to its own, b / 2 + a is less (Volino and Magnenat-Thalmann 1994,
-// "Efficient self-collision detection on smoothly discretized surface animations using geometrical shape regularity",
-// CGF 13(3)).
+// Returns whether all normals of two clusters lie within the cones' angle of the axis between the clusters' axes: b / 2
+// + a is less than it, b the angle between the axes and a the larger angle of a normal to its own axis (Volino and
+// Magnenat-Thalmann 1994, "Efficient self-collision detection on smoothly discretized surface animations using
+// geometrical shape regularity", CGF 13(3)).
 template <class T> INLINE bool in_one_cone(const T* cones, int64_t a, int64_t b) {
   const T *p = cones + 4 * a, *q = cones + 4 * b;
   return p[0] * q[0] + p[1] * q[1] + p[2] * q[2] > more<T>(p[3], q[3]);

@@ -25,7 +25,7 @@ INLINE double twice_area(const Way* p) {
   return a.x * b.y - a.y * b.x;
 }
 
-// A mesh that collapses.
+// A mesh whose edges are collapsed.
 struct Mesh {
   int32_t* faces;    // (F, 3)
   Way* corner;       // (F, 3), each in its triangle's chart
@@ -43,7 +43,7 @@ struct Mesh {
   bool is_line(int32_t u, int32_t v) const {
     return line(u, 0) == v || line(u, 1) == v || line(u, 2) == v || line(u, 3) == v;
   }
-  // The other neighbour along the line through u, one of whose neighbours there is v.
+  // Returns the neighbour of u along its line that is not v; v is the other one.
   int32_t far_side(int32_t u, int32_t v) const { return line(u, 0) == v ? line(u, 1) : line(u, 0); }
 };
 
@@ -56,8 +56,8 @@ inline void find_fans(const Mesh& mesh) {
   }
 }
 
-// Remembers the edge between two vertices for both. Of more than LINES the last one is written over: such a vertex
-// stays anyway.
+// Marks the edge between two vertices as part of a line, at both of them. A vertex with more than LINES such edges
+// loses the last one; it stays in any case.
 inline void add_line(const Mesh& mesh, int32_t u, int32_t v) {
   const int32_t ends[2] = {u, v};
   for (int side = 0; side < 2; ++side) {
@@ -69,7 +69,7 @@ inline void add_line(const Mesh& mesh, int32_t u, int32_t v) {
   }
 }
 
-// Remembers borders, seams of panels and the pairs (n, 2) that are creased.
+// Marks as lines the borders, the seams of panels and the edges creased (n, 2).
 inline void find_lines(const Mesh& mesh, const int32_t* creased, int64_t count) {
   for (int32_t f = 0; f < mesh.face_count; ++f)
     for (int k = 0; k < 3; ++k) {
@@ -88,7 +88,8 @@ inline void find_lines(const Mesh& mesh, const int32_t* creased, int64_t count) 
   for (int64_t n = 0; n < count; ++n) add_line(mesh, creased[2 * n], creased[2 * n + 1]);
 }
 
-// Whether u and v have no common neighbours but across their edge, and none of these would close a line.
+// Returns whether the edge of u and v can collapse without changing the topology: they have no common neighbours but
+// those across their edge, and none of these would close a line.
 inline bool is_disk(int32_t u, int32_t v, const Mesh& mesh) {
   int common = 0, shared = 0;
   for (int i = 0; i < mesh.valence[u]; ++i) {
@@ -107,15 +108,16 @@ inline bool is_disk(int32_t u, int32_t v, const Mesh& mesh) {
   return shared > 0 && common == shared;
 }
 
-// A way in a chart where an edge goes as the first, in another where it goes as the second and is as long.
+// Returns a way turned from one chart into another: an edge that goes as edge in the first chart goes as other, which
+// has the same length, in the second.
 inline Way turned(Way way, Way edge, Way other) {
   const double scale = __builtin_sqrt(square(edge) * square(other));
   const double c = (edge.x * other.x + edge.y * other.y) / scale, s = (edge.x * other.y - edge.y * other.x) / scale;
   return {c * way.x - s * way.y, s * way.x + c * way.y};
 }
 
-// Writes the way from u to v in the chart of each triangle around u: that of the triangle which has both and lies on
-// the same side of the lines. Whether all have one.
+// Writes the way from u to v in the chart of each triangle around u: the way in the triangle that has both and lies on
+// the same side of the lines. Returns whether every triangle has one.
 inline bool write_ways(int32_t u, int32_t v, const Mesh& mesh, Way* way) {
   bool known[MOST] = {};
   const int count = mesh.valence[u];
@@ -144,7 +146,7 @@ inline bool write_ways(int32_t u, int32_t v, const Mesh& mesh, Way* way) {
   return all;
 }
 
-// Whether the line through u goes on to far nearly as its way to the other side comes.
+// Returns whether the line through u goes straight on to far, nearly as it comes from its other side.
 inline bool is_straight(int32_t u, int32_t far, const Mesh& mesh, const Way* way) {
   bool straight = true;
   for (int i = 0; i < mesh.valence[u]; ++i) {
@@ -157,7 +159,8 @@ inline bool is_straight(int32_t u, int32_t far, const Mesh& mesh, const Way* way
   return straight;
 }
 
-// Whether a triangle stays on its side, is not thin and has no side over longest [m] once a corner has gone its way.
+// Returns whether a triangle keeps its orientation, is not thin and has no side longer than longest [m] after one
+// corner, which, has gone its way.
 inline bool keeps_shape(const Way* corner, int which, Way way, double longest) {
   Way place[3] = {corner[0], corner[1], corner[2]};
   place[which] = {place[which].x + way.x, place[which].y + way.y};
@@ -171,7 +174,7 @@ inline bool keeps_shape(const Way* corner, int which, Way way, double longest) {
   return after * twice_area(corner) > 0 && 2 * ROOT_OF_3 * size >= THINNEST * total && most <= longest * longest;
 }
 
-// Whether u may go to v; writes the ways from u to v.
+// Returns whether u may be moved to v, and writes the ways from u to v.
 inline bool may_go(int32_t u, int32_t v, const Mesh& mesh, Way* way, double longest) {
   if (mesh.valence[u] + mesh.valence[v] > MOST) return false;
   const bool on_line = mesh.line(u, 0) >= 0;
@@ -195,7 +198,7 @@ inline void drop(const Mesh& mesh, int32_t v, int32_t f) {
     }
 }
 
-// Moves u to v, by its way in each triangle; alive (F,) are those that are left.
+// Moves u to v, by its way in each triangle, and clears alive (F,) for the triangles that vanish.
 inline void go(int32_t u, int32_t v, const Mesh& mesh, const Way* way, uint8_t* alive) {
   for (int i = 0; i < mesh.valence[u]; ++i) {
     const int32_t f = mesh.around(u, i);
@@ -220,7 +223,7 @@ inline void go(int32_t u, int32_t v, const Mesh& mesh, const Way* way, uint8_t* 
   }
 }
 
-// A half-edge as it was when its ends had these stamps.
+// A half-edge of the queue; it holds while its ends have these stamps.
 struct HalfEdge {
   double length;
   int32_t from, to, from_stamp, to_stamp;
@@ -229,7 +232,7 @@ INLINE bool comes_before(const HalfEdge& a, const HalfEdge& b) {
   return a.length != b.length ? a.length < b.length : a.from != b.from ? a.from < b.from : a.to < b.to;
 }
 
-// A binary heap, the first half-edge on top, and the stamps (V,) of the vertices.
+// The queue of half-edges, a binary heap with the first one on top, and the stamps (V,) of the vertices.
 struct Waiting {
   HalfEdge* heap;
   int64_t count, room;
@@ -259,7 +262,7 @@ struct Waiting {
     if (count) sink(0);
     return top;
   }
-  // Leaves out what does not hold any more: no more than two half-edges of a side of each triangle are left.
+  // Removes half-edges that do not hold any more; at most two for each side of a triangle are left.
   void tidy(const Mesh& mesh) {
     int64_t left = 0;
     for (int64_t n = 0; n < count; ++n)
@@ -283,9 +286,9 @@ inline void push_from(int32_t u, const Mesh& mesh, Waiting& waiting) {
   }
 }
 
-// Collapses faces (F, 3) until target vertices are left or none will go, and writes which of them are, alive (F,). Where
-// a vertex goes no side is longer than longest [m]. Faces, the corner (F, 3, 2) of each in its chart [m] and lines
-// (V, LINES), -1 on entry, are written to; the pairs creased (n, 2) are on lines too.
+// Collapses edges of a mesh with faces (F, 3) until target vertices are left or none may go, and writes which faces are
+// left, alive (F,). No new side is longer than longest [m]. Faces, their corners in their charts [m] (F, 3, 2), and
+// lines (V, LINES), -1 on entry, are changed in place. The edges creased (n, 2) are lines too.
 inline void coarsened(Mesh mesh, const int32_t* creased, int64_t creased_count, int64_t target, double longest,
                       uint8_t* alive, Scratch& scratch) {
   const int64_t vertices = mesh.vertex_count, room = 8 * mesh.face_count + 2 * MOST;

@@ -30,7 +30,7 @@ INLINE double larger(double a, double b) { return a > b ? a : b; }
 INLINE double smaller(double a, double b) { return a < b ? a : b; }
 INLINE double absolute(double a) { return __builtin_fabs(a); }
 
-// The distance [m] of a point to a collider, negative inside, and the unit normal that leads out of it.
+// Returns the distance [m] of a point to a collider, negative inside, and the unit normal that leads out.
 INLINE Out outside_of(const double* collider, Vector<double> at) {
   const Vector<double> off = at - point(collider, 0);
   const Vector<double> axes[3] = {axis_of(collider, 0), axis_of(collider, 1), axis_of(collider, 2)};
@@ -54,8 +54,8 @@ INLINE Out outside_of(const double* collider, Vector<double> at) {
   return {distance - collider[RADIUS], normal};
 }
 
-// The distance [m] of end to the face of a box by which the way from start enters it, negative, and the face's normal.
-// Infinite for what is round, and where the way does not enter or leaves by a face beside that one.
+// Returns the distance [m], negative, of end to the face of a box by which the way from start enters it, and the face's
+// normal. It is infinite for round colliders, and where the way does not enter or leaves by a neighbouring face.
 INLINE Out entered(const double* collider, Vector<double> start, Vector<double> end) {
   if (collider[RADIUS] > 0) return {INFINITE, {}};
   double enters = -INFINITE, leaves = INFINITE, sign = 0;
@@ -77,9 +77,10 @@ INLINE Out entered(const double* collider, Vector<double> start, Vector<double> 
   return {dot(axis, end - point(collider, 0)) - collider[HALF + face], axis};
 }
 
-// Writes the planes that hold each node c [m] (N, 3) out of the two colliders in which it is deepest to planes (N, 2,
-// 4): a normal n, zero where there is none, and n . x of its points. came [m] (N, 3) is where the nodes were, and first
-// says that they were nowhere; touched (N,) are their samples of the skin (S, 8). Returns how many are behind a plane.
+// Writes to planes (N, 2, 4) those that hold each node c [m] (N, 3) out of the two colliders in which it is deepest: a
+// normal n, zero where there is none, and n . x of its points x. came [m] (N, 3) is where the nodes were before; with
+// first they were nowhere. touched (N,) are the nodes' samples of the skin (S, 8). Returns how many nodes are behind a
+// plane.
 template <class T>
 DEVICE int64_t write_node_planes(const T* c, const T* came, int64_t nodes, bool first, const Array<double>& colliders,
                                  const T* skin, const int32_t* touched, T* planes) {
@@ -120,7 +121,7 @@ DEVICE int64_t write_node_planes(const T* c, const T* came, int64_t nodes, bool 
   return sum_of_all(inside);
 }
 
-// Whether the box around x comes near a collider.
+// Returns whether the box around x [m] (P, 3) comes near a collider.
 template <class T> DEVICE bool is_near_collider(const T* x, int64_t places, const double* collider) {
   for (int axis = 0; axis < 3; ++axis) {
     double low = INFINITE, high = -INFINITE, half = collider[RADIUS] + NEAR_M;
@@ -135,13 +136,13 @@ template <class T> DEVICE bool is_near_collider(const T* x, int64_t places, cons
   return true;
 }
 
-// How deep [m] in a collider a place may be, for the skin that it is on.
+// Returns how deep [m] in a collider a place may lie because the skin sample that it lies on does.
 template <class T> INLINE double sunk(Vector<double> at, const T* own, const double* collider) {
   const Vector<double> foot = in_doubles(lane3(own + OWN_PLANE, 0));
   return dot(at - foot, at - foot) < WORN_M * WORN_M ? larger(THIN_M - outside_of(collider, foot).distance, 0) : 0;
 }
 
-// Writes the tangent planes of colliders near x [m] (P, 3) to those of other parts.
+// Writes the tangent planes of colliders near x [m] (P, 3) into the planes of other body parts.
 template <class T>
 DEVICE void put_collider_planes(const T* x, int64_t places, const Array<double>& colliders, T* planes) {
   for (const double* collider = colliders.begin; collider < colliders.begin + colliders.count; collider += COLLIDER) {
@@ -161,8 +162,7 @@ DEVICE void put_collider_planes(const T* x, int64_t places, const Array<double>&
   }
 }
 
-// Moves x [m] (P, 3) in place out of colliders, up to the clearance [m]; wherever the skin is where there are no
-// planes.
+// Moves x [m] (P, 3) in place out of colliders, up to the clearance [m]. Without planes the skin does not matter.
 template <class T>
 DEVICE void leave_colliders(T* x, int64_t places, const Array<double>& colliders, const T* planes, T clearance) {
   for (const double* collider = colliders.begin; collider < colliders.begin + colliders.count; collider += COLLIDER) {

@@ -17,7 +17,7 @@ constexpr int BLOCKS_AT_ONCE = 1, OUTPUTS_AT_ONCE = 2;
 constexpr int BLOCKS_AT_ONCE = 3, OUTPUTS_AT_ONCE = 2;
 #endif
 
-// Sums the outputs from n on of the blocks from block on.
+// Computes a layer's outputs from n on for BLOCKS blocks of inputs, from block on.
 template <int BLOCKS, class T>
 INLINE void sum_outputs(const Layer<T>& layer, const Rows<T>& inputs, const Rows<T>& added, const Rows<T>& outputs,
     int64_t block, int64_t n) {
@@ -70,8 +70,8 @@ INLINE bool run_by_tiles(const Layer<double>&, const Rows<double>&, const Rows<d
   return false;
 }
 
-// Writes the layer of the inputs of so many blocks of patches, plus added where that has values, to outputs. A negative
-// sum is multiplied by the layer's slope.
+// Writes to outputs the layer applied to the inputs of so many blocks of patches, plus added where that has values. A
+// negative sum is multiplied by the layer's slope.
 template <class T>
 DEVICE void run_layer(const Layer<T>& layer, const Rows<T>& inputs, const Rows<T>& added, const Rows<T>& outputs,
     int64_t blocks, Scratch& scratch) {
@@ -93,8 +93,8 @@ DEVICE void run_layer(const Layer<T>& layer, const Rows<T>& inputs, const Rows<T
 #endif
 }
 
-// Writes the layer of the numbers inputs of one body to outputs. Its weights have sixteen outputs side by side, so that
-// memory is read from end to end.
+// Writes to outputs the layer applied to the numbers inputs of one body. Its weights have sixteen outputs side by side,
+// so that memory is read from end to end.
 template <class T> DEVICE void run_body_layer(const Layer<T>& layer, const T* inputs, T* outputs) {
   const int64_t count = layer.weight.count / layer.bias.count;
   const T slope = T(layer.slope);

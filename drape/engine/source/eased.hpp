@@ -10,10 +10,10 @@
 
 constexpr double EASED_S = 0.65;  // in which what eased cloth comes down to 1/e
 
-// Writes how far [m] (P, 3) so many steps move the coarse cloth from where the network has it, under [m] (P, 3), with
-// room for one number behind it: in the world's axes to off, in those of the surface to eased. It begins with a share
-// of what it was eased before, if anything. What is no fold is left out. The samples own are moved on, and those of
-// other parts are found.
+// Writes how far [m] (P, 3) so many steps of folds move the coarse cloth from the network's places under [m] (P, 3),
+// which have room for one number behind them: in the world's axes to off, in those of the surface to eased. The steps
+// begin with a share of the eased of the frame before, if there is one; a result that is no fold is left out. The
+// samples own are moved on, and those of other body parts are found.
 template <class T>
 DEVICE void ease_off(const T* under, const T* before, T share, int32_t* own, int32_t* other, int32_t* at,
                      const Skin<T>& skin, const FoldConstants<T>& cloth, int64_t steps, T* eased, T* off, Scratch& scratch) {
@@ -47,8 +47,8 @@ DEVICE void ease_off(const T* under, const T* before, T share, int32_t* own, int
   scratch.used = mark;
 }
 
-// Lifts the fine cloth up to the clearance [m] over the skin and out of the colliders; at and other (C,) are the
-// samples that the coarse places are at.
+// Lifts the fine cloth up to the clearance [m] over the skin and out of the colliders. at and other (C,) are the
+// samples of the coarse places, the latter those of other body parts.
 template <class T>
 DEVICE void lift_off(const Laid<T>& laid, const int32_t* at, const int32_t* other, const Skin<T>& skin,
                      const Array<double>& colliders, const FineLevel<T>& fine, T clearance) {

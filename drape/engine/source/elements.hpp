@@ -13,7 +13,7 @@
 #include "records.hpp"
 #include "rows.hpp"
 
-// The constants in a kernel's own type, as numbers.
+// The cloth's constants as numbers of the kernel's own type.
 template <class T> struct Fabric {
   T warp, cross, weft, shear, gap, slack, per_edge, degenerate, least, reach;
   INLINE_MEMBER explicit Fabric(const Constants<T>& k)
@@ -24,18 +24,19 @@ template <class T> struct Fabric {
 template <class N> struct Columns { Vector<N> p, t; };
 template <class N> struct Stress { N pp, tt, pt; };
 
-// The columns of F, from the edges to both other corners and the slopes there.
+// Returns the columns of the deformation gradient F, from the edges to the second and third corner and the slopes
+// there.
 template <class N> INLINE Columns<N> columns(Vector<N> first, Vector<N> second, N p1, N p2, N t1, N t2) {
   return {mix(p1, first, p2, second), mix(t1, first, t2, second)};
 }
 
-// Stress times area [N m].
+// Returns the stress times the area [N m].
 template <class N, class T> INLINE Stress<N> stress(Columns<N> f, N area, const Fabric<T>& k) {
   N pp = dot(f.p, f.p) - T(1), tt = dot(f.t, f.t) - T(1), pt = dot(f.p, f.t);
   return {area * (k.warp * pp + k.cross * tt), area * (k.cross * pp + k.weft * tt), area * k.shear * pt};
 }
 
-// The vectors and numbers of a hinge at four points, and its fold 1 - cos(theta - theta0).
+// A hinge at four points: the vectors and numbers of its derivatives, and its fold 1 - cos(theta - theta0).
 template <class T> struct Hinge {
   Vector<T> e, a, b, n1, n2;
   T q1, q2, scale, length, rise, value;
@@ -57,13 +58,13 @@ template <class T> INLINE Hinge<T> hinge(const Vector<T> (&corner)[4], T cosine,
   return h;
 }
 
-// The hinge at four vertices of x [m] (V, 3).
+// Returns the hinge at four vertices of x [m] (V, 3).
 template <class T> INLINE Hinge<T> hinge_at(const T* x, const int32_t* vertex, T cosine, T sine, const Fabric<T>& k) {
   const Vector<T> corner[4] = {point(x, vertex[0]), point(x, vertex[1]), point(x, vertex[2]), point(x, vertex[3])};
   return hinge(corner, cosine, sine, k);
 }
 
-// The derivatives [1/m] of the fold by all four corners.
+// Writes the derivatives [1/m] of the fold by each of the four corners.
 template <class T> INLINE void fold_gradient(const Hinge<T>& h, T cosine, T sine, const Fabric<T>& k, Vector<T> (&out)[4]) {
   T cube = h.value * h.scale * h.scale * h.scale;
   Vector<T> by_n1 = plus(mix(-h.scale * cosine, h.n2, h.scale * sine * h.length, h.b), cube * h.q2, h.n1);
@@ -76,7 +77,8 @@ template <class T> INLINE void fold_gradient(const Hinge<T>& h, T cosine, T sine
   out[0] = scaled(T(-1), out[1] + (out[2] + out[3]));
 }
 
-// The derivatives [1/m] of theta by all four corners, guarded where a triangle has no area.
+// Writes the derivatives [1/m] of the angle theta by each of the four corners; they stay finite where a triangle has no
+// area.
 template <class T> INLINE void angle_gradient(const Hinge<T>& h, const Fabric<T>& k, Vector<T> (&out)[4]) {
   T length = root(dot(h.e, h.e) + k.degenerate);
   T over1 = k.per_edge / (h.q1 + k.degenerate), over2 = k.per_edge / (h.q2 + k.degenerate);

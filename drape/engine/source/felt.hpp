@@ -33,7 +33,8 @@ template <class T> INLINE Row<T> ramp(Row<T> value, T low, T high) {
   return least<T>(most<T>((value - low) * (T(1) / (high - low)), row_of(T(0))), row_of(T(1)));
 }
 
-// The tangent of a point: at rest, and what the jets add to it by the derivatives (15,) of the basis there.
+// Returns the tangent of a point: that at rest, and what the jets add to it by the derivatives (15,) of the basis
+// there.
 template <class T> INLINE Points<T> tangent_of(const T* jet, const T* rest, const T* terms) {
   Points<T> t = {row_at(rest), row_at(rest + LANES * POINTS), row_at(rest + 2 * LANES * POINTS)};
   for (int i = 1; i < PLANE; ++i) {  // the derivative of the constant is zero
@@ -44,14 +45,14 @@ template <class T> INLINE Points<T> tangent_of(const T* jet, const T* rest, cons
   return t;
 }
 
-// What a number of the jets is: along which axis, and which one there.
+// The place of a number among the jets: its axis, and which number it is on that axis.
 struct JetNumber { int64_t axis, number; };
 INLINE JetNumber jet_number(int64_t i) {
   const int64_t axis = i < PLANE ? 0 : i < 2 * PLANE ? 1 : 2;
   return {axis, i - PLANE * axis};
 }
 
-// Writes softened strain (21 rows) and force (27 rows) of the jets.
+// Writes the softened strain (21 rows) of the patches, and the force (27 rows) by which it acts on their jets.
 template <class T>
 DEVICE void feel_strain(const Weights<T>& weights, const Rows<T>& jets, const PatchRows<T>& rows, int64_t blocks,
     const Rows<T>& felt, Scratch& scratch) {
@@ -94,7 +95,7 @@ DEVICE void feel_strain(const Weights<T>& weights, const Rows<T>& jets, const Pa
   scratch.used = mark;
 }
 
-// A point of the patches of a block [patch scales].
+// Returns one point of each patch of a block [patch scales].
 template <class T> INLINE Points<T> felt_point(const Weights<T>& weights, const T* jet, const T* place, int p) {
   const T* basis = weights.basis + HEIGHT * p;
   Points<T> at = {row_at(place + LANES * p), row_at(place + LANES * (POINTS + p)),
@@ -139,7 +140,8 @@ template <class T> struct NearSamplesOf {
   }
 };
 
-// Writes the plane of a block of the means of count samples about each point: local in the frames, at in the world.
+// Writes the plane of the surface of count samples about each point of a block; local are the points in the frames, at
+// in the world.
 template <class T>
 INLINE void write_felt_plane(const NearSamplesOf<T>& near, int count, Row<T> there, Points<T> local, Points<T> at,
     const T* frame, T* to) {
@@ -258,7 +260,8 @@ DEVICE void find_planes(const Weights<T>& weights, const Rows<T>& jets, const Po
   scratch.used = mark;
 }
 
-// Writes closeness (14 rows) to the planes and their softened force (27 rows) on the jets.
+// Writes the closeness (14 rows) of the patches to the planes, and the softened force (27 rows) by which the planes act
+// on their jets.
 template <class T>
 DEVICE void feel_body(const Weights<T>& weights, const Rows<T>& jets, const PatchRows<T>& rows, const T* planes,
     int64_t blocks, const Rows<T>& felt, Scratch& scratch) {
@@ -286,7 +289,7 @@ DEVICE void feel_body(const Weights<T>& weights, const Rows<T>& jets, const Patc
   scratch.used = mark;
 }
 
-// Takes back from jets what a correction, from jets before, takes deeper below the planes than it may.
+// Reduces a correction of jets, from those before, that takes a point deeper below the planes than it may.
 template <class T>
 DEVICE void hold_corrections(const Weights<T>& weights, const Rows<T>& before, const PatchRows<T>& rows,
     const T* planes, int64_t blocks, const Rows<T>& jets, Scratch& scratch) {

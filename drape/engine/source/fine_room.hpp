@@ -8,20 +8,20 @@
 #include "room.hpp"
 #include "untangle.hpp"
 
-// Whether a fine place has its coarse one, with these planes, near other cloth.
+// Returns whether the coarse place of a fine place lies near other cloth, as its planes say.
 template <class T> INLINE bool lies_near(const T* planes, const FineLevel<T>& fine, int64_t place) {
   const int64_t c = fine.parent[place];
   return planes[PLANES * (c / LANES) + NEAR_ROW + c % LANES] > 0;
 }
 
-// Whether a triangle of a cluster of the fine cloth's tangles has a first corner that lies near other cloth.
+// Returns whether a triangle of the fine cloth's cluster c has a first corner that lies near other cloth.
 template <class T> INLINE bool is_close(const T* planes, const FineLevel<T>& fine, int64_t c) {
   bool close = false;
   for (int lane = 0; lane < LANES; ++lane) close |= lies_near(planes, fine, fine.tangles.corner[3 * LANES * c + lane]);
   return close;
 }
 
-// Writes the clusters that have one. Returns their number.
+// Writes to found the fine cloth's clusters with such a triangle, and returns their number.
 template <class T> DEVICE int64_t close_clusters(const T* planes, const FineLevel<T>& fine, int32_t* found) {
   const int64_t count = fine.tangles.start.count - 1;
   return collect(count, found, count, [&](int64_t c, int32_t* to, int64_t room) {
@@ -31,7 +31,7 @@ template <class T> DEVICE int64_t close_clusters(const T* planes, const FineLeve
   });
 }
 
-// Writes the planes that keep the fine cloth x [m] (P, 3) apart from itself to those of other parts.
+// Writes the planes that keep the fine cloth x [m] (P, 3) apart from itself into the planes of other body parts.
 template <class T>
 DEVICE void keep_fine_apart(const T* x, const T* coarse_planes, const Levels<T>& levels, T* planes, Scratch& scratch) {
   const FineLevel<T>& fine = levels.fine;

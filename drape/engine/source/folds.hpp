@@ -28,14 +28,15 @@ constexpr double FADE_S = 1.0;               // in which folds without steps com
 constexpr double HOLD = 0.4;  // the share of contact's stiffness that steps of the whole cloth allow leash and friction
 constexpr double MOVED_M = 1e-4;  // a vertex lifted farther counts as lifted
 
-// The result of a frame, as the caller reads it.
+// The result of a frame of folds, as the caller reads it.
 struct FoldOutcome {
   int64_t settled, reset, lost, turn;
   double untangle_m, lifted_share, lifted_max_m;
 };
 
-// The cloth of a frame: where its places are and, if it goes on from a frame, came from [m] (P, 3), with room for one
-// number behind them, how far [m] each was lifted (P,), the planes that held it, and the samples (P,) that it is at.
+// The cloth of a frame: its places x [m] (P, 3) and, if it goes on from a frame, those that it came from, both with
+// room for one number behind them; how far [m] each was lifted (P,); the planes that held it; and the samples (P,) that
+// it lies at.
 template <class T> struct Laid {
   T *x, *came, *lifted, *planes;
   int32_t* at;
@@ -52,8 +53,8 @@ template <class T> struct FoldSchedule {
   T friction, clearance, untangle;
 };
 
-// Writes the vertices [m] (V, 3) from what is at the place (V,) of each, and tells the share of them that were lifted
-// by more than MOVED_M, and the most of any.
+// Writes the vertices [m] (V, 3), each from its place (V,) of the cloth, and into outcome the share of them that were
+// lifted by more than MOVED_M and the farthest way [m] of any.
 template <class T>
 DEVICE void delivered(const Laid<T>& laid, const Array<int32_t>& place, T* vertices, FoldOutcome& outcome) {
   int64_t count = 0;
@@ -68,8 +69,8 @@ DEVICE void delivered(const Laid<T>& laid, const Array<int32_t>& place, T* verti
   outcome.lifted_max_m = double(most_of_all(farthest));
 }
 
-// Writes the stiffness and slack that hold each place: those of the waistband and of the leash; where the skin has
-// taken it, and friction times contact's stiffness. There is no plane yet.
+// Writes the stiffness and slack that hold each place: those of waistband and leash; the place to which the skin has
+// taken it; and friction times the stiffness of contact. The planes' own numbers are not set yet.
 template <class T> DEVICE void hold_places(const Sheet<T>& sheet, const T* stuck, T friction, T* planes) {
   for (int64_t block : each_block(sheet.fan_start.count - 1)) {
     const T* own = sheet.own + OWN * block;
@@ -83,7 +84,7 @@ template <class T> DEVICE void hold_places(const Sheet<T>& sheet, const T* stuck
   }
 }
 
-// Moves x by a share momentum of its way, of which no more than the reach counts.
+// Moves x [m] by a share momentum of its last way, of which no more than the reach [m] counts.
 template <class T> DEVICE void go_on(T* x, const T* way, int64_t places, T momentum, T reach) {
   for (int64_t block : each_block(places / LANES)) {
     const int64_t first = 3 * LANES * block;
@@ -104,7 +105,7 @@ template <class T> DEVICE void set_way(T* way, const T* x, const T* before, int6
 }
 
 // Moves x by the rounds of a schedule and the lift, and writes the way of the last step. The samples of after are moved
-// on. planes are left as they held the cloth.
+// on. planes are left as they held the cloth at last.
 template <class T>
 DEVICE void descend_rounds(const Laid<T>& laid, T* way, const T* network, const T* stuck, const Surroundings<T>& around,
                            const FoldConstants<T>& cloth, const FoldSchedule<T>& schedule, FoldMemory<T>& after,
@@ -151,7 +152,7 @@ DEVICE void descend_rounds(const Laid<T>& laid, T* way, const T* network, const 
   scratch.used = mark;
 }
 
-// Writes where residuals [m] (P, 3) of a surface [m] (P, 3) with the frames are.
+// Writes the places x [m] (P, 3) of residuals (P, 3) [m] in the frames of a surface [m] (P, 3).
 template <class T>
 DEVICE void put_folded(const T* surface, const T* frames, const T* residual, int64_t places, T* x) {
   for (int64_t block : each_block(places / LANES)) {
@@ -161,8 +162,8 @@ DEVICE void put_folded(const T* surface, const T* frames, const T* residual, int
   }
 }
 
-// Writes where the cloth lies, and moves after on in place. Returns how far [m] the farthest place is from the network,
-// NaN where one is.
+// Writes the places of the cloth after a schedule, and moves after on in place. Returns how far [m] the farthest place
+// is from the network's, NaN where a place is NaN.
 template <class T>
 DEVICE T advance(const Laid<T>& laid, const T* before, const T* network, const Surroundings<T>& around,
                  const FoldConstants<T>& cloth, const FoldSchedule<T>& schedule, FoldMemory<T>& after,
@@ -208,7 +209,7 @@ DEVICE T advance(const Laid<T>& laid, const T* before, const T* network, const S
   return farthest_m(x, network, places);
 }
 
-// The frame after past, or one without a past. Writes where the cloth lies, and the arrays of after.
+// Computes the frame after past, or one without a past: writes the places of the cloth and the arrays of after.
 template <class T>
 DEVICE FoldOutcome advanced(const Laid<T>& laid, const T* network, const FoldMemory<T>& past, bool follows,
                             const Surroundings<T>& around, const FoldConstants<T>& cloth, const FoldEffort<T>& effort,
@@ -243,8 +244,9 @@ DEVICE FoldOutcome advanced(const Laid<T>& laid, const T* network, const FoldMem
   return {!follows, 0, !(far <= T(FAR_M)), follows ? (past.turn + 1) % TURNS : 1, untangle_m, 0, 0};
 }
 
-// Lays the cloth of a frame around the network's places [m] (P, 3). A frame whose result is no fold is computed once
-// more without its past. What it leaves is nothing if that is none either: the network's drape is delivered then.
+// Writes the cloth of a frame around the network's places [m] (P, 3). If the result is no fold, the frame is computed
+// once more without its past. If that is no fold either, the outcome is lost: the network's drape is delivered, and no
+// memory is left.
 template <class T>
 DEVICE FoldOutcome fold_places(const Laid<T>& laid, const T* network, const FoldMemory<T>& past,
                                const Surroundings<T>& around, const FoldConstants<T>& cloth,

@@ -10,8 +10,9 @@
 constexpr int FULL_JET = 45, MOST_LAYERS = 8;
 enum Part { NOVELTY, NETWORK, SWING, FOLDS, ENCODE, PARTS };
 
-// What became of a garment in a frame, as the caller reads it: its folds; and, of the innermost one, how unlike kept
-// poses the pose is, the ticks of each part, low corner and step size of quantised vertices, and what the frame returns.
+// The outcome of a garment in a frame, as the caller reads it: its folds; and, in that of the innermost garment, how
+// unlike kept poses the pose is, the ticks of each part, low corner and step size of quantised vertices, and what the
+// frame returns.
 struct FrameOutcome {
   FoldOutcome folds;
   double novelty;
@@ -22,7 +23,7 @@ struct FrameOutcome {
 
 INLINE Array<float> room(int64_t count, Scratch& scratch) { return {{scratch.take<float>(count)}, count}; }
 
-// Writes the joints' local quaternions (24, 4) of a pose. Returns how unlike kept poses it is.
+// Writes the joints' local quaternions (24, 4) of the frame's pose, and returns how unlike kept poses it is.
 DEVICE double read_pose(const FrameCall<float>& call, float* local, Scratch& scratch) {
   const Array<KeptPoses<float>>& kept = call.layers[0].parts[0].kept;
   double *quaternion = scratch.take<double>(4 * JOINTS), *matrix = scratch.take<double>(9 * JOINTS);
@@ -36,7 +37,7 @@ DEVICE double read_pose(const FrameCall<float>& call, float* local, Scratch& scr
   return double(*novelty);
 }
 
-// Poses the body, with the samples of its skin.
+// Returns the posed body with its skin samples.
 DEVICE PosedBody<float> posed(const FrameCall<float>& call, float* local, Array<float> skin, Scratch& scratch) {
   const Weights<float>* weights = call.layers[0].parts[0].weights;
   BodyFeed<float> feed = *call.body;
@@ -59,7 +60,7 @@ DEVICE bool drape_layer(const FrameParts<float>& parts, const PosedBody<float>& 
   return finite;
 }
 
-// Writes the folded or lifted vertices [m] (V, 3), which are the given ones where nothing led to a fold.
+// Writes the folded or lifted vertices [m] (V, 3) of a garment; these are the given ones where the folds are lost.
 DEVICE void fold_cloth(const LayerCall<float>& layer, const float* vertices, const Surroundings<float>& around,
                        bool novel, FoldOutcome& told, Scratch& scratch) {
   const FrameParts<float>& parts = *layer.parts;
@@ -78,7 +79,7 @@ DEVICE void fold_cloth(const LayerCall<float>& layer, const float* vertices, con
 
 #include "outfit_steps.hpp"
 
-// Folds all garments, or leaves their drapes [m] (V, 3) as they are.
+// Folds all garments, in place of their drapes [m] (V, 3), or leaves these as they are where nothing folds.
 DEVICE void fold_layers(const FrameCall<float>& call, float* const* drapes, const Surroundings<float>& around,
                         FrameOutcome* told, Scratch& scratch) {
   const bool novel = told[0].novelty > 1;
@@ -92,8 +93,8 @@ DEVICE void fold_layers(const FrameCall<float>& call, float* const* drapes, cons
   }
 }
 
-// Draws a frame of up to MOST_LAYERS garments. Returns whether the network's numbers are finite, of which nothing is to
-// be read where not, and -1 where scratch is too small.
+// Draws a frame of up to MOST_LAYERS garments. Returns 1; 0 where the network's numbers are not finite, and nothing
+// that it wrote is to be read; and -1 where scratch is too small.
 DEVICE int64_t draw_frame(const FrameCall<float>& call, FrameOutcome* told, Scratch& scratch) {
   uint64_t ends[PARTS + 1] = {ticks()};
   float *local = scratch.take<float>(4 * JOINTS), *drapes[MOST_LAYERS];

@@ -17,7 +17,7 @@ template <class T> INLINE AxesOf<T> axes_in(const T* block) {
   return {rows3_at(block), rows3_at(block + 3 * LANES), rows3_at(block + 6 * LANES)};
 }
 
-// 1 where a row of neighbours has one, 0 where it is empty and has the place itself.
+// Returns for each lane 1 where this row has a neighbour, and 0 where it is empty and has the place itself.
 template <class T> INLINE Row<T> real_row(const Sheet<T>& sheet, int64_t block, int64_t row) {
   const Indices places = indices_from(LANES * block), index = indices_at(sheet.fan_other + LANES * row);
   return where<T>(differ<T>(index, places), row_of(T(1)), row_of(T(0)));

@@ -5,8 +5,8 @@
 
 constexpr double WIDEST_M = 10.0;  // points farther apart than that, along an axis, are in no cell
 
-// count cells along the axes, per_m a metre, from the corner low [m] on. The points of cell c are member[start[c]] to
-// member[start[c + 1]], in their order; c = (i count[1] + j) count[2] + k.
+// A grid of count cells along each axis, per_m a metre, from the corner low [m] on. The points of cell c are
+// member[start[c]] to member[start[c + 1]], in their order; c = (i count[1] + j) count[2] + k.
 struct Grid {
   int32_t *start, *member;
   double low[3], per_m;
@@ -18,8 +18,8 @@ struct Cells { int64_t first[3], last[3]; };  // along each axis the first cell,
 #ifdef ONE_LANE
 #include "grid_one.hpp"
 #else
-// The grid of the first three numbers of points [m] (N, width), cells of 1 / per_m. It is empty if a coordinate is not
-// finite, or if points lie WIDEST_M apart.
+// Returns a grid of the points [m] (N, width), of whose numbers the first three are coordinates, with cells of 1 /
+// per_m. It is empty if a coordinate is not finite, or if points lie WIDEST_M apart.
 template <class T> DEVICE Grid grid_of(const T* points, int64_t n, int width, double per_m, Scratch& scratch) {
   Grid grid = {};
   T low[3], high[3];
@@ -40,7 +40,7 @@ template <class T> DEVICE Grid grid_of(const T* points, int64_t n, int width, do
     grid.count[axis] = finite && extent < WIDEST_M ? int64_t(extent * per_m) + 1 : 0;
     grid.cells *= grid.count[axis];
   }
-  // Two cells more than there are: a cell's count stands two behind it, then its begin one behind it.
+  // There are two cells more than the grid has: a cell's count stands two behind it, then its begin one behind it.
   int32_t* start = grid.start = scratch.take<int32_t>(grid.cells + 2);
   grid.member = scratch.take<int32_t>(n);
   int32_t* cell = scratch.take<int32_t>(n);
@@ -63,12 +63,12 @@ template <class T> DEVICE Grid grid_of(const T* points, int64_t n, int width, do
 
 #endif
 
-// The cells that the box from low to high [m] meets.
+// Returns the cells that the box from low to high [m] meets.
 INLINE Cells cells_within(const Grid& grid, Vector<double> low, Vector<double> high) {
   const double lower[3] = {low.x, low.y, low.z}, higher[3] = {high.x, high.y, high.z};
   Cells cells;
   for (int axis = 0; axis < 3; ++axis) {
-    // Clamped before it is made whole: a point may be anywhere, or no number.
+    // The number is clamped before it is rounded, since a point may be anywhere, or be NaN.
     double count = double(grid.count[axis]);
     double first = __builtin_floor((lower[axis] - grid.low[axis]) * grid.per_m);
     double last = __builtin_floor((higher[axis] - grid.low[axis]) * grid.per_m) + 1;
@@ -78,13 +78,13 @@ INLINE Cells cells_within(const Grid& grid, Vector<double> low, Vector<double> h
   return cells;
 }
 
-// The cells that the box of half a side reach [m] around a point meets.
+// Returns the cells that a box around a point meets whose half side is reach [m].
 template <class T> INLINE Cells cells_around(const Grid& grid, Vector<T> point, double reach) {
   const Vector<double> at = {double(point.x), double(point.y), double(point.z)}, aside = {reach, reach, reach};
   return cells_within(grid, at - aside, at + aside);
 }
 
-// Where in grid.member the points of the cells (i, j) of a column begin and end.
+// The points of the cells (i, j) of a column: begin and end in grid.member.
 struct Run { int64_t begin, end; };
 INLINE Run column(const Grid& grid, int64_t i, int64_t j, const Cells& cells) {
   int64_t row = (i * grid.count[1] + j) * grid.count[2], first = cells.first[2];

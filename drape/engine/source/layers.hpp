@@ -48,12 +48,12 @@ template <class T> INLINE Over<T> over(Vector<T> at, const Skin<T>& skin, int64_
   const T up = dot(way, skin.normal_of(s));
   return {up, dot(way, way) - up * up};
 }
-// The own sample for n = -1, then its neighbours.
+// Returns the own sample for n = -1, and then its neighbours.
 template <class T> INLINE int32_t sample_at(const Skin<T>& skin, int32_t own, int n) {
   return n < 0 ? own : skin.neighbour[NEIGHBOURS * own + n];
 }
 
-// Half of the distance [m] along the normal from sample s to skin that faces it, far [m] at most.
+// Returns half of the distance [m] along the normal from sample s to skin that faces it, at most far [m].
 template <class T> INLINE T half_way(int64_t s, T far, const Skin<T>& skin, const Grid& grid) {
   const Vector<T> normal = skin.normal_of(s), here = skin.point_of(s);
   const T aside = T(ASIDE * ASIDE) * skin.reach_m2[s];
@@ -73,8 +73,8 @@ template <class T> INLINE T half_way(int64_t s, T far, const Skin<T>& skin, cons
   return T(0.5) * nearest;
 }
 
-// Lowers the heights [m] (S,) of steep samples: of those that begin higher than CLOSE_M, in their order, there and back.
-// One thread goes along them, for each reads what the one before has left.
+// Lowers the heights [m] (S,) of samples that stand out steeply from their neighbours. The samples that begin higher
+// than CLOSE_M are visited in their order, there and back, by one thread, for each reads what the one before has left.
 template <class T> DEVICE void lower_steep(const Skin<T>& skin, T* height, Scratch& scratch) {
   int32_t* high = scratch.take<int32_t>(skin.count);
   if (scratch.overflowed) return;
@@ -96,8 +96,8 @@ template <class T> DEVICE void lower_steep(const Skin<T>& skin, T* height, Scrat
       }
 }
 
-// Writes how high [m] (S,) a garment raises each sample of the skin: 0 where no vertex lies over it. Its triangles face
-// outward, its vertices are [m] (V, 3), and each place raises the sample that it is at, own (P,), and that one's
+// Writes how high [m] (S,) a garment raises each sample of the skin, 0 where no vertex lies over it. Its triangles face
+// outward, its vertices are [m] (V, 3). Each place raises the sample that it lies at, own (P,), and that one's
 // neighbours.
 template <class T>
 DEVICE void heights_over(const T* vertices, const LaidCloth<T>& cloth, const int32_t* own, const Skin<T>& skin,
@@ -127,7 +127,7 @@ DEVICE void heights_over(const T* vertices, const LaidCloth<T>& cloth, const int
   scratch.used = mark;
 }
 
-// Writes the samples (S, 8) of a ground, each moved out by its height [m] (S,) along its normal.
+// Writes the samples (S, 8) of a ground moved out along their normals by the height [m] (S,) of each.
 template <class T> DEVICE void raise(const T* ground, int64_t samples, const T* height, T* raised) {
   for (int64_t s : each(samples)) {
     const T *from = ground + 8 * s, up[3] = {height[s] * from[4], height[s] * from[5], height[s] * from[6]};
@@ -139,7 +139,7 @@ template <class T> DEVICE void raise(const T* ground, int64_t samples, const T* 
   }
 }
 
-// Writes the ceiling (S, 5) that a garment with these vertices [m] (V, 3) is over the samples of the skin.
+// Writes the ceiling (S, 5) that a garment with vertices [m] (V, 3) makes over the samples of the skin.
 template <class T>
 DEVICE void ceiling_over(const T* vertices, const LaidCloth<T>& cloth, const Skin<T>& skin, T* ceiling,
                          Scratch& scratch) {
@@ -195,7 +195,8 @@ DEVICE void ceiling_over(const T* vertices, const LaidCloth<T>& cloth, const Ski
   scratch.used = mark;
 }
 
-// Writes the way [m] (P, 3) of what is above the planes of the samples that it lies over; whether any is.
+// Writes the way down [m] (P, 3) of each place that is above the ceiling of the samples that it lies over, zero
+// elsewhere. Returns whether any is.
 template <class T>
 DEVICE bool too_high(const T* x, int64_t places, const int32_t* own, const Skin<T>& skin, const T* ceiling, T* down) {
   int found = 0;
@@ -225,7 +226,7 @@ DEVICE bool too_high(const T* x, int64_t places, const int32_t* own, const Skin<
 }
 
 // Shortens the ways down [m] (P, 3) that end nearer than LEAST_OVER_M to the skin. The skin is the highest of the
-// planes of the samples below: in a hollow, as at the neck, that of one is too low.
+// planes of the samples below: in a hollow, as at the neck, the plane of one sample is too low.
 template <class T>
 DEVICE void stay_above_skin(const T* x, int64_t places, const int32_t* own, const Skin<T>& skin, T* down) {
   for (int64_t v : each(places)) {
@@ -242,8 +243,8 @@ DEVICE void stay_above_skin(const T* x, int64_t places, const int32_t* own, cons
   }
 }
 
-// Takes the cloth around along: down [m] (P, 3), in place. A place that moves waits in line for its neighbours to be
-// looked at. The line has an order, so one thread goes along it.
+// Spreads the ways down [m] (P, 3), in place, to the cloth around. A place that moves is put into a queue, and its
+// neighbours are visited in turn; the queue has an order, so one thread goes along it.
 template <class T> DEVICE void spread_down(const T* x, const Sheet<T>& sheet, T* down, Scratch& scratch) {
   const int64_t mark = scratch.used, count = sheet.vertex.count;
   T *length = scratch.take<T>(count), *before = scratch.take<T>(3 * count);
@@ -294,8 +295,8 @@ template <class T> DEVICE void spread_down(const T* x, const Sheet<T>& sheet, T*
   scratch.used = mark;
 }
 
-// Writes the vertices [m] (V, 3) of an inner garment after those above a ceiling (S, 5) went below it, with the cloth
-// around; whether any was. own (P,) is the sample that each place is at.
+// Writes the vertices pressed [m] (V, 3) of an inner garment: those above the ceiling (S, 5) go below it and take the
+// cloth around along. Returns whether any was above. own (P,) is the sample that each place lies at.
 template <class T>
 DEVICE bool press(const T* vertices, const LaidCloth<T>& cloth, const int32_t* own, const Skin<T>& ground,
                   const T* ceiling, T* pressed, Scratch& scratch) {

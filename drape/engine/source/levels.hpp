@@ -25,14 +25,15 @@ constexpr int64_t MORE_STEPS = 2;  // of the coarse cloth than sweeps of the fin
 constexpr double KEPT_S = 1.5;    // in which the share that is carried on comes down to 1/e, of cloth that moves
 constexpr double SLOW_M_S = 0.2;  // speed of a place that forgets half as much
 
-// The points of a block of the fine cloth, moved as the coarse places are that went off [m] (P, 3).
+// Returns the points of a block of the fine cloth, moved as their coarse places are, which went by off [m] (P, 3).
 template <class T> INLINE Points<T> carried(Points<T> points, const T* off, const FineLevel<T>& fine, int64_t block) {
   for (int64_t row = NEAREST * LANES * block; row < NEAREST * LANES * (block + 1); row += LANES)
     points = plus(points, row_at(fine.weight + row), points_at(off, fine.near + row));
   return points;
 }
 
-// Writes the table (P, 16) by which coarse places carry fine ones from where they came to where they are.
+// Writes the table (P, 16) by which coarse places carry fine ones, from the coarse places of the frame before to those
+// of this one.
 template <class T>
 DEVICE void write_carriers(const Laid<T>& coarse, const Sheet<T>& sheet, T* table, Scratch& scratch) {
   const int64_t mark = scratch.used, places = sheet.vertex.count, blocks = places / LANES;
@@ -52,17 +53,18 @@ DEVICE void write_carriers(const Laid<T>& coarse, const Sheet<T>& sheet, T* tabl
   scratch.used = mark;
 }
 
-// How the fine cloth is laid: the share of its start that coarse places carry on from the frame before, by their table;
-// what a place at rest has more, half of it where the way [m] times slow_per_m is 1; how far [m] what crosses comes
-// apart in a step, the clearance [m] of the lift, and the sweeps.
+// How the fine cloth is laid. The share of its start that coarse places carry on from the frame before by their table,
+// and the share that it has more at rest, half of that where the way [m] times slow_per_m is 1; how far [m] crossing
+// cloth comes apart in a step; the clearance [m] of the lift; and the number of sweeps.
 template <class T> struct FineSchedule {
   T share, more, slow_per_m, untangle, clearance;
   int64_t sweeps;
   const T* table;
 };
 
-// Lays the fine cloth around the network's places [m] (P, 3). The coarse cloth lies off [m] (P, 3) the network, on the
-// samples of after. Where the fine places [m] (P, 3) were before is read, and those of after are written.
+// Lays the fine cloth around the network's places [m] (P, 3). The coarse cloth lies off [m] (P, 3) the network's, on
+// the samples of after. The fine places [m] (P, 3) of the frame before are read from before, and those of this frame
+// are written to after.
 template <class T>
 DEVICE void settle_fine(const Laid<T>& laid, const Laid<T>& coarse, const T* network, const T* off, const T* before,
                         const Surroundings<T>& around, const Levels<T>& levels, const FineSchedule<T>& schedule,

@@ -17,8 +17,8 @@
 constexpr double OTHER_SHARE = 0.25;                  // of the way out of another part
 constexpr double DEEP_M = 0.04, TOO_DEEP_M = 0.06;  // below the clearance
 
-// The points after a share of their way up to the clearance over planes. Points that are higher or too deep stay. Where
-// there is no plane its normal is zero.
+// Returns the points after a share of their way up to the clearance [m] over planes with the points foot and normals.
+// Points that are higher or too deep stay. Where there is no plane its normal is zero.
 template <class T> INLINE Points<T> above(Points<T> points, Points<T> foot, Points<T> normal, T clearance, T share) {
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
   Row<T> low = clearance - dot(points - foot, normal);
@@ -31,7 +31,7 @@ template <class T> INLINE void put_lifted(T* x, T* way, Points<T> before, Points
   put(way, root<T>(dot(after - before, after - before)));
 }
 
-// Moves x [m] (P, 3) in place up to the clearance [m] over planes, and writes how far each vertex went to way [m] (P,).
+// Moves x [m] (P, 3) in place up to the clearance [m] over planes, and writes how far each place went to way [m] (P,).
 template <class T> DEVICE void lift(T* x, int64_t places, const T* planes, T clearance, T* way) {
   for (int64_t block : each_block(places / LANES)) {
     const int64_t first = LANES * block;

@@ -11,7 +11,7 @@
 constexpr double LONGEST = 1.3, SHORTEST = 0.7;  // of an edge's length at rest
 constexpr int LIMIT_PASSES = 4;
 
-// What edges ask of a vertex: the sum of their ways, and how many they are.
+// The sum of the ways by which edges pull a vertex, and their number.
 template <class T> struct Asked { Points<T> way; Row<T> count; };
 
 // Adds half of the excess of an edge. rest and per are the squares of its length at rest and of the number by which
@@ -27,7 +27,8 @@ template <class T> INLINE void ask(Points<T> edge, Row<T> rest, Row<T> per, Aske
   to = {plus(to.way, where<T>(off, share, zero), edge), to.count + where<T>(off, one, zero)};
 }
 
-// Moves x [m] (P, 3) in place. Most frames have no edge beyond the limits, and look at each once.
+// Moves x [m] (P, 3) in place so that no edge is beyond the limits. Most frames have no such edge, and look at each
+// once.
 template <class T> DEVICE void limit_strain(T* x, const Sheet<T>& sheet, Scratch& scratch) {
   const int64_t mark = scratch.used, places = sheet.vertex.count;
   T* before = scratch.take<T>(3 * places + 1);

@@ -21,7 +21,7 @@ template <class T> double inner(const T* a, const T* b, int64_t count) {
   return total;
 }
 
-// y = H x (V, 3); returns x . y.
+// Writes y = H x (V, 3), and returns x . y.
 template <class T> double multiply(const System<T>& system, const T* x, T* y) {
   const Pattern<T>& p = system.pattern;
   double total = 0;
@@ -34,7 +34,7 @@ template <class T> double multiply(const System<T>& system, const T* x, T* y) {
   return total;
 }
 
-// y = (D + U)^-1 D (D + L)^-1 r, with the inverse (V, 3, 3) of D: positive whatever L is.
+// Writes y = (D + U)^-1 D (D + L)^-1 r, with the inverse (V, 3, 3) of D; this operator is positive whatever L is.
 template <class T> void gauss_seidel(const System<T>& system, const T* r, T* y) {
   const Pattern<T>& p = system.pattern;
   const int64_t count = p.diagonal.count;
@@ -50,13 +50,14 @@ template <class T> void gauss_seidel(const System<T>& system, const T* r, T* y) 
   }
 }
 
-// Forces on the charts, and their displacements (3 K,) under these; none (size 0) where there are no charts.
+// Room for the forces on the charts, and for their displacements (3 K,) under these; size is 0 where there are no
+// charts.
 template <class T> struct Coarse {
   T *force, *moved;
   int64_t size;
 };
 
-// y = M^-1 r: Gauss-Seidel plus the solution on the charts, which each carry one displacement; returns r . y.
+// Writes y = M^-1 r, Gauss-Seidel plus the solution on the charts, each of which has one displacement. Returns r . y.
 template <class T> double precondition(const System<T>& system, const T* r, T* y, Coarse<T> coarse) {
   const int64_t count = system.pattern.diagonal.count, charts = system.charts.patch.count / count, size = coarse.size;
   const int32_t* patch = system.charts.patch;
@@ -66,7 +67,7 @@ template <class T> double precondition(const System<T>& system, const T* r, T* y
   for (int64_t v = 0; size && v < count; ++v)
     for (int64_t c = charts * v; c < charts * (v + 1); ++c)
       add_point(coarse.force, patch[c], scaled(weight[c], point(r, v)));
-  // The matrix is symmetric: column by column, sums stand side by side.
+  // The matrix is symmetric, so it is read column by column, whose sums stand side by side.
   for (int64_t j = 0; j < size; ++j)
     for (int64_t i = 0; i < size; ++i) coarse.moved[i] += system.coarse[size * j + i] * coarse.force[j];
   for (int64_t v = 0; size && v < count; ++v)
@@ -75,7 +76,7 @@ template <class T> double precondition(const System<T>& system, const T* r, T* y
   return inner(r, y, count);
 }
 
-// out (size, size) = P^T H P of the blocks of H, P the basis of size / 3 charts.
+// Writes out (size, size) = P^T H P of the blocks of H; P is the basis of size / 3 charts.
 template <class T>
 void galerkin(const Charts<T>& charts, const Pattern<T>& p, const T* blocks, T* out, int64_t size) {
   const int64_t count = p.diagonal.count, each = charts.patch.count / count;
@@ -92,10 +93,10 @@ void galerkin(const Charts<T>& charts, const Pattern<T>& p, const T* blocks, T* 
         }
 }
 
-// Writes moved (V, 3) with H moved near force; returns the iterations, negative where H curved down. Ends when the norm
-// of the residual is a share of that of force, after limit iterations, or on a direction of negative curvature, which
-// is left out unless it is the first (Steihaug 1983, "The conjugate gradient method and trust regions in large scale
-// optimization", SIAM J. Numer. Anal. 20(3)).
+// Writes moved (V, 3) such that H moved is near force, and returns the number of iterations, negative where H curved
+// down. It ends when the norm of the residual is a share of that of force, after limit iterations, or on a direction of
+// negative curvature, which is left out unless it is the first (Steihaug 1983, "The conjugate gradient method and trust
+// regions in large scale optimization", SIAM J. Numer. Anal. 20(3)).
 template <class T>
 int64_t conjugate_gradients(const System<T>& system, const T* force, double share, int64_t limit, T* moved,
                             Scratch& scratch) {

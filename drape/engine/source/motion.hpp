@@ -18,8 +18,8 @@ template <class T> INLINE T mean_square_root(const T* x, int64_t count) {
 
 template <class T> INLINE Row<T> sigmoid(Row<T> a) { return T(1) / (T(1) + exponential<T>(-a)); }
 
-// Writes codes (N, outputs filled up to whole rows) and next states (N, H) of bodies with motion features (N, 24, m)
-// and states (N, H) after steps dt_s (N,).
+// Writes codes (N, outputs filled up to whole rows) and next states (N, H) of N bodies with motion features (N, 24, m)
+// and states (N, H) before, after steps dt_s [s] (N,).
 template <class T>
 void advance_motion(const MotionEncoder<T>& w, const T* features, const T* state, const T* dt_s, int64_t bodies,
     T* code, T* next, Scratch& scratch) {

@@ -6,8 +6,9 @@
 
 namespace network {
 
-// Writes full jets [patch scales] (K, 45), rotations (K, 9) and centres [m] (K, 3) of the patches on a body, after so
-// many corrections. Patches that fill the last row up are left out. Returns whether all numbers are finite.
+// Writes full jets [patch scales] (K, 45), rotations (K, 9) and centres [m] (K, 3) of a garment's patches on a body
+// after so many passes, corrections of the network. Patches that fill up the last row are left out. Returns whether all
+// numbers are finite.
 template <class T>
 DEVICE bool pose_jets(const Weights<T>& weights, const PatchRows<T>& rows, const PosedBody<T>& body, int64_t passes,
     PosedJets<T>& out, Scratch& scratch) {
@@ -89,7 +90,7 @@ DEVICE bool pose_jets(const Weights<T>& weights, const PatchRows<T>& rows, const
 
 constexpr int REST = 3, TILE_COLUMNS = REST + HEIGHT, TILE_CHARTS = 32;  // numbers of a chart; charts of a tile
 
-// Writes the vertices (V, 3) of posed jets: each the sum of what its four charts say.
+// Writes the vertices [m] (V, 3) of posed jets: each is the sum of what its four charts contribute.
 template <class T>
 DEVICE void blend_vertices(const PosedJets<T>& jets, const Tiles<T>& tiles, T* vertices, int64_t count,
     Scratch& scratch) {

@@ -2,9 +2,9 @@
 #pragma once
 #include "platform.hpp"
 
-// e to a number, within two units in the last place.
+// Returns e to the power x, within two units in the last place.
 INLINE double exponential_of(double x) {
-  // x = n ln 2 + r, |r| <= ln 2 / 2; the series of e^r, times 2^n
+  // With x = n ln 2 + r and |r| <= ln 2 / 2, it is the series of e^r times 2^n.
   if (!(x > -700)) return x == x ? 0 : x;
   const double n = __builtin_floor(x * 1.4426950408889634 + 0.5);
   const double r = (x - n * 0.6931471803691238) - n * 1.9082149292705877e-10;
@@ -14,7 +14,7 @@ INLINE double exponential_of(double x) {
   return sum * power.value;
 }
 
-// The natural logarithm of a normal number above zero, within two units in the last place.
+// Returns the natural logarithm of a normal number above zero, within two units in the last place.
 INLINE double logarithm_of(double x) {
   // x = 2^n m, m between the roots of 1/2 and 2; ln m = 2 (s + s^3 / 3 + s^5 / 5 + ...), s = (m - 1) / (m + 1)
   union { double value; uint64_t bits; } m = {x};
@@ -28,9 +28,10 @@ INLINE double logarithm_of(double x) {
 
 struct SineCosine { double sine, cosine; };
 
-// Sine and cosine of an angle [rad] of up to a million turns, within 2e-16 and what the angle is rounded to.
+// Returns sine and cosine of an angle [rad] of up to a million turns, within 2e-16 and the rounding of the angle.
 INLINE SineCosine sine_cosine_of(double x) {
-  // x = n pi / 2 + r, |r| <= pi / 4, pi / 2 in two parts that n times is exact; the series of both
+  // With x = n pi / 2 + r and |r| <= pi / 4, these are the series of both. pi / 2 has two parts, of which n times each
+  // is exact.
   const double n = __builtin_floor(x * 0.6366197723675814 + 0.5);
   const double r = ((x - n * 1.5707963267341256) - n * 6.0771005063039987e-11) - n * 2.9127320560933562e-20;
   double sine = 1, cosine = 1;

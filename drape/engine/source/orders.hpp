@@ -7,7 +7,7 @@ namespace orders {
 // The neighbours of vertex v are neighbour[start[v] : start[v + 1]], itself allowed.
 struct Graph { const int32_t *start, *neighbour; };
 
-// Writes the least colour (V,) of each vertex that no earlier neighbour has.
+// Writes the colour (V,) of each vertex: the least that no earlier neighbour has.
 inline void greedy_colours(Graph graph, int64_t count, int32_t* colour, Scratch& scratch) {
   int32_t* taken = scratch.take<int32_t>(count + 1);  // the last vertex that a colour was taken for
   if (scratch.overflowed) return;
@@ -22,8 +22,8 @@ inline void greedy_colours(Graph graph, int64_t count, int32_t* colour, Scratch&
   }
 }
 
-// Writes those of the nodes (n,), which are one part, that are connected with the first one, the nearest first, and the
-// distance (V,) of each node in edges, -1 where there is no way. Returns how many are connected.
+// Writes to line those of the nodes (n,), one part of the graph, that are connected with the node first, the nearest
+// first, and their distance (V,) in edges, -1 for the others. Returns how many are connected.
 inline int64_t by_distance(Graph graph, const int32_t* part, const int32_t* nodes, int64_t count, int32_t first,
                            int32_t* distance, int32_t* line) {
   for (int64_t n = 0; n < count; ++n) distance[nodes[n]] = -1;
@@ -42,7 +42,7 @@ inline int64_t by_distance(Graph graph, const int32_t* part, const int32_t* node
   return found;
 }
 
-// Writes which of the nodes (n,) have a neighbour in the part with the other sign.
+// Writes to near which of the nodes (n,) have a neighbour whose part has the other sign.
 inline void at_the_other(Graph graph, const int32_t* part, const int32_t* nodes, int64_t count, uint8_t* near) {
   for (int64_t i = 0; i < count; ++i) {
     const int32_t v = nodes[i];
@@ -51,13 +51,13 @@ inline void at_the_other(Graph graph, const int32_t* part, const int32_t* nodes,
   }
 }
 
-// About how many cycles a run of columns takes: for each row of LANES entries of a column, for each column, for each
-// row of members, and for the run itself.
+// The cycles, roughly, that a run of columns takes: for each row of LANES entries of a column, for each column, for
+// each row of members, and for the run itself.
 struct Costs { double row, column, members, run; };
 
-// Writes, for each end (V + 1,) of a run of columns of a lower triangle, where the run begins that is the last of those
-// which together take the least time; runs have widest columns at most. Column j has the rows neighbour[start[j] :
-// start[j + 1]] below its diagonal.
+// Splits the columns of a lower triangle into runs that together take the least time. Writes to begin (V + 1,), for
+// each end of a run, where the last run up to that end begins. A run has at most widest columns. Column j has the rows
+// neighbour[start[j] : start[j + 1]] below its diagonal.
 inline void runs(Graph lower, int64_t count, int64_t widest, Costs costs, int32_t* begin, Scratch& scratch) {
   double* least = scratch.take<double>(count + 1);
   int32_t* met = scratch.take<int32_t>(count);  // the last run below whose columns there was this row

@@ -5,22 +5,23 @@
 
 namespace outfit {
 
-// A garment as it lies: the samples own (P,) that its places are at, of the ground (S, 8), and the ceiling (S, 5) that
-// is over it.
+// A garment of an outfit in a frame: the samples own (P,) of the ground (S, 8) that its places lie at, and the ceiling
+// (S, 5) over it.
 struct Lying {
   const float* ground;
   int32_t* own;
   float* ceiling;
 };
 
-// Writes the samples (P,) that the places of a folded garment are at.
+// Writes the samples own (P,) that the places of a folded garment lie at.
 DEVICE void put_own(const LayerCall<float>& layer, int32_t* own) {
   const FrameParts<float>& parts = *layer.parts;
   const int32_t* parent = parts.levels.count ? parts.levels[0].fine.parent.begin : nullptr;
   for (int64_t p : each(parts.laid[0].sheet.vertex.count)) own[p] = layer.folded[0].own[parent ? parent[p] : p];
 }
 
-// Writes the ceilings over all garments but the outermost, of vertices [m] (V, 3) each, over the body's skin.
+// Writes the ceilings over all garments but the outermost, which the vertices [m] (V, 3) of the garments above each
+// make over the body's skin.
 DEVICE void put_ceilings(const FrameCall<float>& call, const float* const* vertices, const Array<float>& skin,
                          const Lying* lying, Scratch& scratch) {
   const int64_t samples = skin.count / 8;
@@ -37,13 +38,14 @@ DEVICE void put_ceilings(const FrameCall<float>& call, const float* const* verti
   }
 }
 
-// Presses a folded garment below its ceiling.
+// Presses a folded garment below its ceiling, in place.
 DEVICE void press(const LayerCall<float>& layer, const Lying& lies, int64_t samples, Scratch& scratch) {
   float* vertices = layer.vertices;
   drape_press_f32(vertices, layer.parts[0].laid, lies.own, lies.ground, samples, lies.ceiling, vertices, &scratch);
 }
 
-// Folds garments, the innermost first, each over what those below it have made of the skin.
+// Folds garments in place of their drapes, the innermost first, each over the skin as the garments below have raised
+// it.
 DEVICE void fold(const FrameCall<float>& call, float* const* drapes, const Surroundings<float>& around, bool novel,
                  FrameOutcome* told, Scratch& scratch) {
   const int64_t count = call.layers.count, samples = around.skin.count / 8;

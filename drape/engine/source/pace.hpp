@@ -15,22 +15,25 @@ constexpr double STIFF_N_PER_M = 1000.0;
 // Shaken cloth creeps: the share of friction that is left where the network moves by so much a second or more.
 constexpr double SHAKEN = 0.5, SHAKEN_M_S = 0.1;
 
-// Steps by which folds of the frame before are carried into a frame, and sweeps after its steps.
+// The steps by which folds of the frame before are carried into a frame, and the sweeps after its steps.
 struct Pace { int64_t carries, sweeps; };
 
-// 1 where the network moves its vertices slowly, by way_m [m], 0 where fast.
+// Returns 1 where the network moves its vertices by little, of a way_m [m] in the frame, down to 0 where it moves them
+// far.
 INLINE double calmness(double way_m) {
   double calm = (FAST_M - way_m) / (FAST_M - SLOW_M);
   return calm > 0 ? (calm < 1 ? calm : 1) : 0;
 }
 
-// The share of friction with the skin that holds where the network moves its vertices by way_m [m] in step_s [s].
+// Returns the share of friction with the skin that holds where the network moves its vertices by way_m [m] in step_s
+// [s].
 INLINE double grip_left(double way_m, double step_s) {
   double shaken = way_m / (SHAKEN_M_S * step_s);
   return 1 - (1 - SHAKEN) * (shaken < 1 ? shaken : 1);
 }
 
-// Steps answer to where cloth was, and stiff cloth crumples by what fast motion brings along: it keeps less of its way.
+// Returns the share of its last way that cloth keeps. Steps answer to where cloth was, and stiff cloth crumples by what
+// fast motion brings along, so it keeps less.
 INLINE double momentum_of(double calm, bool stiff) {
   const double least = stiff ? STIFF_MOMENTUM : FAST_MOMENTUM;
   return least + calm * (MOMENTUM - least);

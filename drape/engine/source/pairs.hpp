@@ -41,8 +41,9 @@ INLINE bool are_joined(const Elements& first, int64_t e, const Elements& second,
   return false;
 }
 
-// Writes the numbers (room, 2) of elements that share no vertex and whose boxes are at most reach [m] apart along every
-// axis; of the same elements each pair once, the lower number first. Returns how many there are, which may be more.
+// Writes to found (room, 2) the pairs of elements that share no vertex and whose boxes are at most reach [m] apart
+// along every axis. With same each pair comes once, the lower number first. Returns the number of pairs, which may be
+// more than room.
 inline int64_t near_boxes(Places places, Elements first, Elements second, bool same, double reach, int32_t* found,
                           int64_t room, Scratch& scratch) {
   Box* boxes = scratch.take<Box>(second.count);
@@ -50,7 +51,7 @@ inline int64_t near_boxes(Places places, Elements first, Elements second, bool s
   if (scratch.overflowed) return -1;
   Box all = {point(places.x, 0), point(places.x, 0)};
   for (int64_t v = 1; v < places.count; ++v) widen(all, point(places.x, v));
-  // The grid is over the mesh in units of its extent, whatever that is.
+  // The grid's unit is the extent of the mesh, whatever that is.
   const double unit = widest(all) > 0 ? 1 / widest(all) : 1;
   double size = 0;
   for (int64_t f = 0; f < second.count; ++f) {
@@ -75,10 +76,11 @@ inline int64_t near_boxes(Places places, Elements first, Elements second, bool s
   return filled;
 }
 
-// Vertices (count, 4): one and a triangle's in the first rows, as many as triangles, then two edges'.
+// Pairs by their four vertices, corner (count, 4): in the first triangles rows a vertex and those of a triangle, in the
+// others those of two edges.
 struct Pairs { const int32_t* corner; int64_t count, triangles; };
 
-// The weights of four corners in the way [m] between the nearest points of a pair, and that way.
+// The way [m] between the nearest points of a pair, and the weights of the four corners in it.
 struct Way {
   double weight[4];
   Point way;
@@ -86,8 +88,8 @@ struct Way {
 
 INLINE double share_of(double a) { return less(more(a, 0.0), 1.0); }
 
-// How far along the edges pq and rs the two points are that are nearest to each other (Ericson 2005, 5.1.9). Of
-// parallel edges the middle of the first, where the second reaches so far.
+// Where on the edges pq and rs, 0 to 1, the two points lie that are nearest to each other (Ericson 2005, 5.1.9). For
+// parallel edges it is the middle of the first, if the second reaches so far.
 struct Shares { double first, second; };
 INLINE Shares shares_of_edges(Point p, Point q, Point r, Point s) {
   const Point first = q - p, second = s - r, between = p - r;
@@ -117,7 +119,7 @@ INLINE Way way_of(const double* x, const Pairs& pairs, int64_t n) {
   return way_between(place, n < pairs.triangles);
 }
 
-// Writes the weights (N, 4) and the ways [m] (N, 3) of pairs.
+// Writes the weights (N, 4) and the ways [m] (N, 3) of all pairs.
 inline void write_ways(const double* x, Pairs pairs, double* weights, double* ways) {
   for (int64_t n = 0; n < pairs.count; ++n) {
     const Way found = way_of(x, pairs, n);

@@ -8,7 +8,7 @@
 #include "records.hpp"
 #include "rows.hpp"
 
-// What visit() finds in each of the sixteen threads that share a block.
+// The results of visit() of the sixteen threads that share a block.
 template <class T, class Visit> struct OfThreads {
 #ifdef __CUDACC__
   Vector<T> own;
@@ -46,7 +46,7 @@ template <class T, class Visit> INLINE OfThreads<T, Visit> of_threads(Visit visi
   return OfThreads<T, Visit>(visit);
 }
 
-// s has what panels leave for columns that come later, and then the columns between the two ways.
+// Returns the numbers of the room s: what panels leave for later columns, and then the columns between the two ways.
 template <class T> INLINE int64_t solve_room(const StiffnessFactor<T>& factor) { return 3 * factor.member.count; }
 template <class T> INLINE int64_t all_left(const StiffnessFactor<T>& factor) {
   return factor.levels.left[factor.place.count];

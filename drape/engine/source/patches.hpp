@@ -17,7 +17,7 @@ constexpr double JOINT_REACH_M = 0.3;
 
 template <class T> INLINE Points<T> centre_of(const T* frame) { return rows3_at(frame + CENTRE); }
 
-// World vectors in the axes of a block's frames, and the way back.
+// Returns world vectors in the axes of a block's frames; below, the way back.
 template <class T> INLINE Points<T> into_frame(const T* f, Points<T> a) {
   return {row_at(f) * a.x + row_at(f + 3 * LANES) * a.y + row_at(f + 6 * LANES) * a.z,
           row_at(f + LANES) * a.x + row_at(f + 4 * LANES) * a.y + row_at(f + 7 * LANES) * a.z,
@@ -29,7 +29,7 @@ template <class T> INLINE Points<T> out_of_frame(const T* f, Points<T> a) {
           row_at(f + 6 * LANES) * a.x + row_at(f + 7 * LANES) * a.y + row_at(f + 8 * LANES) * a.z};
 }
 
-// Writes the frames of the patches on a body. signs is room for a number of each two joints.
+// Writes the frames of the patches on a body. signs is room for one number for each two joints.
 template <class T>
 DEVICE void pose_frames(const PosedBody<T>& body, const PatchRows<T>& rows, int64_t blocks, T* signs, T* frames) {
   for (int64_t both : each(JOINTS * JOINTS)) {
@@ -63,7 +63,7 @@ DEVICE void pose_frames(const PosedBody<T>& body, const PatchRows<T>& rows, int6
           row_at(rest + LANES * (6 + column))};
       for (int axis = 0; axis < 3; ++axis) put(to + ROTATION + LANES * (3 * axis + column), dot(turn[axis], own));
     }
-    // The centre, moved by the body's shape, goes where the blended bones take it.
+    // The blended bones move the centre, which the body's shape has displaced.
     Points<T> c = rows3_at(rows.centre + LANES * 3 * block), moved = {};
     const T* slopes = rows.slopes + LANES * 3 * betas * block;
     for (int64_t i = 0; i < betas; ++i)
@@ -103,8 +103,8 @@ template <class T> INLINE Row<T> in_plane(const T* jet, const Row<T> (&basis)[6]
   return sum;
 }
 
-// Writes where charts put their members, times their weights, to said [m] (members, 3). jets are none where charts are
-// at rest in their frames.
+// Writes to said [m] (members, 3) the places where charts put their members, times the members' weights. Without jets
+// the charts are at rest in their frames.
 template <class T>
 DEVICE void say(const Rows<T>& jets, const T* frames, const PatchRows<T>& rows, int64_t blocks, T* said) {
   visit_parts(blocks, MEMBERS, [&](int64_t block, int64_t member) {
@@ -131,7 +131,7 @@ DEVICE void say(const Rows<T>& jets, const T* frames, const PatchRows<T>& rows, 
   });
 }
 
-// Writes the anchors [m] (A, 3): the sums of what the four charts of each have said.
+// Writes the anchors [m] (A, 3): each is the sum of what its four charts said.
 template <class T> DEVICE void place_anchors(const T* said, const Array<uint32_t>& anchor, T* anchors) {
   for (int64_t a : each(anchor.count / 4)) {
     const uint32_t* i = anchor + 4 * a;
@@ -139,7 +139,7 @@ template <class T> DEVICE void place_anchors(const T* said, const Array<uint32_t
   }
 }
 
-// The numbers of a fit of MEMBERS rows of off, from a row of the fit on, less those at rest.
+// Writes the numbers of a fit to MEMBERS rows of off, from a row of the fit on, less those at rest.
 template <int COUNT, class T> INLINE void fit_rows(const T* off, const T* fit, const T* rest, T* to) {
   Row<T> sum[COUNT];
   for (int i = 0; i < COUNT; ++i) sum[i] = row_of(T(0));
@@ -151,7 +151,7 @@ template <int COUNT, class T> INLINE void fit_rows(const T* off, const T* fit, c
   for (int i = 0; i < COUNT; ++i) put(to + LANES * i, sum[i] - row_at(rest + LANES * i));
 }
 
-// Writes jets that fit the anchors [m] (A, 3): 45 numbers where closing, else 27.
+// Writes jets that fit the anchors [m] (A, 3): 45 numbers a patch with closing, else 27.
 template <class T>
 DEVICE void fit_anchors(const T* anchors, const T* frames, const PatchRows<T>& rows, int64_t blocks, bool closing,
     const Rows<T>& jets, Scratch& scratch) {

@@ -31,7 +31,7 @@ template <class T> INLINE T stress_energy(Stress<T> s, Columns<T> f) {
   return T(0.5) * (T(0.5) * (s.pp * (dot(f.p, f.p) - T(1)) + s.tt * (dot(f.t, f.t) - T(1))) + s.pt * dot(f.p, f.t));
 }
 
-// Weight, contact and springs at the point x of vertex v.
+// Returns the gradient and Hessian of weight, contact and springs for vertex v at the point x [m].
 template <class T> Felt<T> outside(Vector<T> x, int64_t v, const Cloth<T>& cloth) {
   const Problem<T>& problem = cloth.problem;
   const Around<T>& around = cloth.around;
@@ -67,7 +67,7 @@ template <class T> Felt<T> outside(Vector<T> x, int64_t v, const Cloth<T>& cloth
   return {energy, gradient, hessian};
 }
 
-// The columns of F of triangle f.
+// Returns the columns of the deformation gradient F of triangle f.
 template <class T> INLINE Columns<T> columns_of(const T* x, const Triangles<T>& t, int64_t f) {
   const int32_t* corner = t.corner + 3 * f;
   const T* d = t.inverse + 4 * f;
@@ -75,7 +75,7 @@ template <class T> INLINE Columns<T> columns_of(const T* x, const Triangles<T>& 
   return columns(point(x, corner[1]) - origin, point(x, corner[2]) - origin, d[0], d[1], d[2], d[3]);
 }
 
-// The energy [J] at x [m] (V, 3); writes its gradient [N] (V, 3).
+// Returns the energy [J] at x [m] (V, 3), and writes its gradient [N] (V, 3).
 template <class T> double energy_and_gradient(const T* x, const Cloth<T>& cloth, T* gradient) {
   const Fabric<T>& k = cloth.k;
   double total = 0;
@@ -109,7 +109,7 @@ template <class T> double energy_and_gradient(const T* x, const Cloth<T>& cloth,
   return total;
 }
 
-// The columns of F of the triangle at an entry with its corner at own, and that corner's slopes and the area.
+// A triangle seen from one of its corners, which is at own: the columns of F, that corner's slopes, and the area.
 template <class T> struct Corner { Columns<T> f; T mp, mt, area; };
 template <class T> INLINE Corner<T> corner_at(const T* x, Vector<T> own, const Triangles<T>& t, int64_t entry) {
   const T* s = t.slope + 5 * entry;
@@ -117,8 +117,8 @@ template <class T> INLINE Corner<T> corner_at(const T* x, Vector<T> own, const T
   return {columns(first, second, s[0], s[2], s[1], s[3]), -s[0] - s[2], -s[1] - s[3], s[4]};
 }
 
-// Gradient and positive Hessian of a vertex: Gauss-Newton of triangles, with the stress that pulls, and of hinges'
-// angles, as stiff folded as flat, so that it bounds the curvature.
+// Returns gradient [N] and positive Hessian [N/m] of vertex v: Gauss-Newton for triangles, with the stress that pulls,
+// and for the angles of hinges, which count as stiff when folded as when flat, so that it bounds the curvature.
 template <class T> Felt<T> vertex_model(const T* x, int64_t v, const Cloth<T>& cloth) {
   const Fabric<T>& k = cloth.k;
   const Vector<T> own = point(x, v);
@@ -149,7 +149,7 @@ template <class T> Felt<T> vertex_model(const T* x, int64_t v, const Cloth<T>& c
   return felt;
 }
 
-// Energy [J] of all that vertex v moves, with v at own.
+// Returns the energy [J] of all elements of vertex v with v at own [m].
 template <class T> double local_energy(const T* x, Vector<T> own, int64_t v, const Cloth<T>& cloth) {
   const Fabric<T>& k = cloth.k;
   double total = outside(own, v, cloth).energy;
@@ -170,8 +170,8 @@ template <class T> double local_energy(const T* x, Vector<T> own, int64_t v, con
   return total;
 }
 
-// One sweep of vertex block descent over the vertices order (n,), in place. guarded: a vertex whose step does not lower
-// the energy halves it, and stays after TRIES halvings.
+// Makes one sweep of vertex block descent over the vertices order (n,) of x [m] (V, 3), in place. With guarded, a step
+// that does not lower the energy is halved, and left out after TRIES halvings.
 template <class T> void sweep(T* x, const Cloth<T>& cloth, const int32_t* order, int64_t count, bool guarded) {
   const T reach = cloth.k.reach;
   for (int64_t n = 0; n < count; ++n) {
@@ -197,7 +197,7 @@ template <class T> INLINE void put_block(T* block, Symmetric<T> h) {
   for (int i = 0; i < 9; ++i) block[i] = of[i];
 }
 
-// Writes the positive blocks (V, 3, 3) with which sweeps move the vertices.
+// Writes the positive diagonal blocks [N/m] (V, 3, 3) with which sweeps move the vertices.
 template <class T> void diagonal_blocks(const T* x, const Cloth<T>& cloth, T* blocks) {
   const int64_t count = cloth.problem.weight_n.count;
   for (int64_t v = 0; v < count; ++v) put_block(blocks + 9 * v, vertex_model(x, v, cloth).hessian);
@@ -209,7 +209,7 @@ template <class T> INLINE void add_product(T* block, Vector<T> a, Vector<T> b) {
   block[6] += a.z * b.x, block[7] += a.z * b.y, block[8] += a.z * b.z;
 }
 
-// The stress without what pushes: principal values below zero are zero.
+// Returns the stress without its pushing part: principal values below zero are zero.
 template <class T> INLINE Stress<T> tension(Stress<T> s) {
   const T mean = T(0.5) * (s.pp + s.tt), off = T(0.5) * (s.pp - s.tt), radius = root(off * off + s.pt * s.pt);
   if (mean >= radius) return s;
@@ -218,8 +218,8 @@ template <class T> INLINE Stress<T> tension(Stress<T> s) {
   return {share * (s.pp - low), share * (s.tt - low), share * s.pt};
 }
 
-// Adds factor d(c_i n / q) = n / q dc_i + c_i (I - 2 n n^T / q) dn / q of one triangle of a hinge, that with the corner
-// third, to the hinge's sixteen blocks.
+// Adds the derivative of an angle's gradient, factor d(c_i n / q) = n / q dc_i + c_i (I - 2 n n^T / q) dn / q, to the
+// sixteen blocks of a hinge, for one of its two triangles: the one with the corner third.
 template <class T>
 void add_angle_hessian(T* blocks, const int32_t* place, T factor, int third, const Hinge<T>& h, const Fabric<T>& k) {
   const Vector<T> e = h.e, arm = third == 2 ? h.a : h.b, n = third == 2 ? h.n1 : h.n2, none = {};

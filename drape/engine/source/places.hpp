@@ -2,12 +2,12 @@
 #pragma once
 #include "clusters.hpp"
 
-// The vertices [m] (V, 3) at their places (P, 3).
+// Writes to places [m] (P, 3) the vertices [m] (V, 3) at them; vertex (P,) is that of each.
 template <class T> DEVICE void placed(const T* vertices, const Array<int32_t>& vertex, T* places) {
   for (int64_t p : each(vertex.count)) put_point(places, p, point(vertices, vertex[p]));
 }
 
-// The largest distance [m] between a place of x (P, 3) and that of y, NaN where one is.
+// Returns the largest distance [m] between a place of x (P, 3) and the same one of y, NaN where one is NaN.
 template <class T> DEVICE T farthest_m(const T* x, const T* y, int64_t places) {
   Row<T> worst = row_of(T(0)), total = worst;
   for (int64_t block : each_block((places + LANES - 1) / LANES)) {
@@ -21,7 +21,8 @@ template <class T> DEVICE T farthest_m(const T* x, const T* y, int64_t places) {
   return none ? T(__builtin_nan("")) : root(most_of_all(most_lane<T>(worst)));
 }
 
-// RMS way [m] of the vertices at the place (V,) of each, from before to network [m] (P, 3).
+// Returns the RMS way [m] of the vertices from before to network [m] (P, 3); place (V,) is where each vertex is in
+// these.
 template <class T> DEVICE double moved_m(const T* before, const T* network, const Array<int32_t>& place) {
   double total = 0;
   for (int64_t v : each(place.count)) {

@@ -29,7 +29,7 @@
 #define EXPORT extern "C" __attribute__((visibility("default")))
 #endif
 
-// A clock of the processor, in steps of no known length: of use for shares of a time.
+// Returns the processor's clock, in steps of no known length: it serves for shares of a time.
 INLINE uint64_t ticks() {
 #if defined(__CUDACC__)
   return uint64_t(clock64());
@@ -44,7 +44,7 @@ INLINE uint64_t ticks() {
 #endif
 }
 
-// While one lives, its thread takes subnormal numbers for zero: an operation on those takes a hundred times as long.
+// While one exists, its thread takes subnormal numbers for zero: an operation on those takes a hundred times as long.
 struct Flushed {
 #if defined(__x86_64__)
   uint32_t before = __builtin_ia32_stmxcsr();

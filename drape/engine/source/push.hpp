@@ -17,8 +17,8 @@ constexpr double LEAST_WEIGHT = 1e-37, LEAST_NORMALS = 1e-30;
 constexpr int HAS_OTHER = 2;       // in 255ths: a list has an other part where some sample is one by this much
 constexpr double JET_OVER = 2.0;  // times a fit of what is missing: a fit spreads a push and so falls short of it
 
-// Writes the plane of a block's points by count samples with logits bias: means by sums of exponentials without a
-// search for the largest, so that they fade to nothing far away from all samples.
+// Writes the plane of each of a block's points in the blend of count samples with the logits bias. Means are taken by
+// sums of exponentials without a search for the largest, so that they fade to nothing far from all samples.
 template <class T>
 void write_push_plane(Points<T> at, const T* const* samples, const T* bias, int count, T clearance, T* plane) {
   Row<T> total = row_of(T(0)), across = total;
@@ -40,7 +40,8 @@ void write_push_plane(Points<T> at, const T* const* samples, const T* bias, int 
   put(plane + 4 * LANES, found.there * ramp<T>(found.distance, T(DEPTH_LOW_M), T(DEPTH_HIGH_M)));
 }
 
-// Writes the planes of all blocks with points start, three rows each. region is room for four numbers of each region.
+// Writes the planes of all blocks with the points start [m], three rows each. region is room for four numbers of each
+// region.
 template <class T>
 void find_push_planes(const T* start, const T* skin, const PushFeed<T>& feed, const T* logs, T clearance,
     T* region, T* planes) {
@@ -60,7 +61,7 @@ void find_push_planes(const T* start, const T* skin, const PushFeed<T>& feed, co
       centre = centre + sums<T>(at);
     }
     centre = scaled(T(1.0 / (PUSH_GROUP * LANES)), centre);
-    // The two regions of other parts that are nearest to the group, by their bias.
+    // first and second become the biases of the two regions of other parts that are nearest to the group.
     T first = T(-1e30), second = first;
     int64_t one = 0, two = 0;
     for (int64_t r = 0; r < regions; ++r) {
@@ -85,20 +86,20 @@ void find_push_planes(const T* start, const T* skin, const PushFeed<T>& feed, co
   }
 }
 
-// moved, pushed on along a plane by the distance that it still lacks, to first order; saturated.
+// Returns moved pushed along a plane by the distance that it still lacks, to first order; saturated.
 template <class T> INLINE Points<T> pushed_along(const T* plane, Points<T> moved) {
   const Points<T> normal = rows3_at(plane);
   Row<T> missing = most<T>(row_at(plane + 3 * LANES) - dot(moved, normal), row_of(T(0)));
   const Row<T> way = T(LARGEST_PUSH_M) * tangent<T>(missing * T(1.0 / LARGEST_PUSH_M)) * row_at(plane + 4 * LANES);
   return plus(moved, way, normal);
 }
-// Out of other parts, then out of the own part, which has the last word.
+// Returns moved pushed out of other parts, and then out of the own part, which has the last word.
 template <class T> INLINE Points<T> pushed_out(const T* planes, Points<T> moved) {
   return pushed_along(planes, pushed_along(planes + PUSH_PLANE, moved));
 }
 
-// Adds the least-squares polynomials of the patches for the displacement of blocks, times over, to the coefficients [m]
-// (K, 3, 10). means is room for a point a block.
+// Adds to the coefficients [m] (K, 3, 10) the least-squares polynomials of the patches for the displacement [m] of the
+// blocks, times over. means is room for a point a block.
 template <class T>
 void fit_push(const T* displacement, const PushFeed<T>& feed, T over, T* means, T* coefficients) {
   const int64_t blocks = feed.block_vertex.count / LANES, members = feed.patch_block.count / feed.patches;
@@ -115,7 +116,8 @@ void fit_push(const T* displacement, const PushFeed<T>& feed, T over, T* means, 
   }
 }
 
-// Writes the displacement of the blocks: the blend of the patches' polynomials. said is room for a point a chart.
+// Writes the displacement [m] of the blocks, which is the blend of the patches' polynomials. said is room for a point a
+// chart.
 template <class T> void blend_push(const T* coefficients, const PushFeed<T>& feed, T* said, T* displacement) {
   for (int64_t tile = 0; tile < feed.tile_patch.count; ++tile) {
     const T* own = coefficients + 3 * TERMS * feed.tile_patch[tile];
@@ -137,9 +139,10 @@ template <class T> void blend_push(const T* coefficients, const PushFeed<T>& fee
   }
 }
 
-// Writes vertices (V, 3) out of a body with the samples skin (S, 8), and the way [m] (V,) of each; logs (256,) are the
-// logits of samples by how much they are other parts. And the push for drapes by jets, after so many rounds:
-// coefficients [m] (K, 3, 10), and left [m], the longest way that a vertex moved by them lacks.
+// Writes to out the vertices [m] (V, 3) pushed out of a body with the samples skin (S, 8), and how far [m] each went to
+// way (V,). logs (256,) are the logits of samples by how much they belong to other parts. For drapes by jets it also
+// writes, after so many rounds, the push as coefficients [m] (K, 3, 10), and to left [m] the longest way that a vertex
+// which they move still lacks.
 template <class T>
 void push_out(const T* vertices, const T* skin, const PushFeed<T>& feed, const T* logs, T clearance,
     int64_t rounds, T* out, T* way, T* coefficients, T* left, Scratch& scratch) {
@@ -180,8 +183,8 @@ void push_out(const T* vertices, const T* skin, const PushFeed<T>& feed, const T
   scratch.used = mark;
 }
 
-// Writes the samples (4 clusters, 8) on garments draped to under [m] (U, 3): clusters of four, whose points and two
-// tangents are sums over members (clusters, 24) by rows (clusters, 24, 12).
+// Writes the samples (4 clusters, 8) on garments with the draped vertices under [m] (U, 3). They come in clusters of
+// four, whose points and two tangents are sums over member (clusters, 24) with the weights rows (clusters, 24, 12).
 template <class T> void pose_cloth(const T* under, const int32_t* member, const T* rows, int64_t clusters, T* samples) {
   for (int64_t cluster = 0; cluster < clusters; ++cluster) {
     Four<T> sum[3][3] = {};

@@ -26,7 +26,8 @@ INLINE void quantise(const float* positions, int64_t vertices, float count, uint
   }
 }
 #else
-// Writes steps (V, 3) from 0 to count, and low corner (3,) and step size (3,) of finite positions (V, 3) to box.
+// Writes finite positions [m] (V, 3) as steps (V, 3) from 0 to count in their box, and to box its low corner (3,) and
+// the size of a step (3,).
 INLINE void quantise(const float* positions, int64_t vertices, float count, uint16_t* steps, float* box) {
   const int64_t numbers = 3 * vertices, whole_runs = numbers / (3 * LANES) * (3 * LANES);
   Row<float> low[3], high[3];

@@ -2,9 +2,10 @@
 #pragma once
 #include "arrays.hpp"
 
-// Edges of vertex v are other[start[v]] to other[start[v + 1]], with their lengths [m]. Writes where each vertex's list
-// begins (V + 1,), the vertices within most [m] of it, itself first, and the ways there [m]; ends of its own edges
-// count however long they are. Returns how many entries there are; those that there is no room for are left out.
+// Finds for each vertex those within most [m] along edges. Edges of vertex v are other[start[v]] to other[start[v +
+// 1]], with their lengths [m]. Writes where each vertex's list begins, begins (V + 1,), the vertices of the lists,
+// itself first, and the ways there [m]; the ends of its own edges count however long these are. Returns the number of
+// entries; those for which there is no room are left out.
 INLINE int64_t reached(const int32_t* start, const int32_t* other, const double* length, int64_t count, double most,
                        int32_t* begins, int32_t* found, double* ways, int64_t room, Scratch& scratch) {
   double* way = scratch.take<double>(count);

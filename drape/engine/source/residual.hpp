@@ -28,7 +28,7 @@ constexpr double MEND_M = 0.03;  // a residual that far from its neighbours' fol
 constexpr double FORGET = 24.0, LACK = 0.003, HEM = 24.0;
 constexpr double EASE = 0.5;  // the share of its way to the mean where cloth crosses and the network moves by WAY_M
 
-// Writes f (P,): none where nothing moved.
+// Writes f (P,), the share that a residual forgets; zeros where nothing moved.
 template <class T>
 DEVICE void write_forget(const T* before, const T* network, const T* frames, const Sheet<T>& sheet, T* forget) {
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
@@ -49,9 +49,9 @@ DEVICE void write_forget(const T* before, const T* network, const T* frames, con
   }
 }
 
-// Moves each of the vectors off (P, 3) by its share forget (P,) of the way to its neighbours' mean, and all of the way
-// where that is longer than far. The frames of a surface that folds over turn about from one frame to the next, and a
-// residual turns with them. before is scratch of the size of off, and one number.
+// Moves each vector off (P, 3) by its share forget (P,) of the way to its neighbours' mean, and all of the way where
+// that is longer than far [m]. A surface that folds over turns its frames about from one frame to the next, and
+// residuals turn with them. before is scratch of the size of off, and one number.
 template <class T> DEVICE void mend(T* off, const Sheet<T>& sheet, T far, const T* forget, T* before) {
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
   const int64_t count = sheet.fan_start.count - 1;
@@ -71,7 +71,7 @@ template <class T> DEVICE void mend(T* off, const Sheet<T>& sheet, T far, const 
   }
 }
 
-// Moves off of every border vertex towards the mean of its neighbours' along the hem (H, 3).
+// Moves off of every border vertex towards the mean of its neighbours along the hem (H, 3).
 template <class T> DEVICE void even_hem(T* off, const T* before, const T* network, const Array<int32_t>& hem, T* even) {
   const int64_t count = hem.count / 3;
   for (int64_t e : each(count)) {
@@ -85,8 +85,8 @@ template <class T> DEVICE void even_hem(T* off, const T* before, const T* networ
   for (int64_t e : each(count)) put_point(off, hem[3 * e + 1], point(even, e));
 }
 
-// Mends, forgets and evens the residuals off [m] (P, 3), world, in place. before and network [m] (P, 3) are the
-// network's drapes of the frame before and of this one, frames those of the latter.
+// Mends, forgets and evens the residuals off [m] (P, 3) in the world's axes, in place. before and network [m] (P, 3)
+// are the network's drapes of the frame before and of this one, and frames those of the latter.
 template <class T>
 DEVICE void keep_residual(T* off, const T* before, const T* network, const T* frames, const Sheet<T>& sheet,
                           const Array<int32_t>& hem, Scratch& scratch) {

@@ -32,15 +32,15 @@ template <class T> INLINE bool is_near(const SheetNeighbours<T>& n, int32_t v, i
 }
 
 #ifndef ONE_LANE
-// For every lane of the clusters the square [m^2] of the distance to the nearest one, and which lane that is.
+// For every lane of the clusters the squared distance [m^2] to the nearest other point, and the lane of that point.
 template <class T> struct NearestLanes {
   T* square;
   int32_t* which;
   T most;
 };
 
-// The least square of the distance of each point of b to those of a that may count: a bound of the pair's list is an
-// upper bound of its square, so that a point below no bound counts in no pair.
+// Returns for each point of b the least squared distance [m^2] to those of a that may count. The bound in the list of a
+// pair is an upper bound of its square, so a point below no bound counts in no pair.
 template <class T> INLINE Row<T> least_squares(const T* a, const T* b, const uint8_t* bound, T most_) {
   Points<T> other = rows3_at(b);
   Row<T> found = row_of(most_);
@@ -60,8 +60,8 @@ template <class T> INLINE Row<T> least_squares(const T* a, const T* b, const uin
   return found;
 }
 
-// Lowers found to the distances of all pairs of the clusters a and b that count; listed: whether some of them may be of
-// one sheet.
+// Lowers found to the distances of all pairs of the clusters a and b that count. listed: whether some of them may
+// belong to one sheet.
 template <class T>
 DEVICE void count_pairs(const T* rows, const SheetNeighbours<T>& n, int64_t a, int64_t b, Row<T> least_, bool listed,
                         NearestLanes<T>& found) {
@@ -82,9 +82,9 @@ DEVICE void count_pairs(const T* rows, const SheetNeighbours<T>& n, int64_t a, i
   }
 }
 
-// Writes the distance [m] from each of the points (V, 3) to the nearest one that is not of its sheet to room (V,), and
-// that one to nearest (V,); reach [m], ROOM_M at most, and -1 where none is within that. Every pair of clusters whose
-// boxes come near each other is tested once. Hardly any has vertices that count.
+// Writes to room (V,) the distance [m] from each of the points (V, 3) to the nearest one that does not belong to the
+// cloth around it, and to nearest (V,) that point; where none is within reach [m], ROOM_M at most, these are the reach
+// and -1. Every pair of clusters whose boxes come near each other is tested once, and hardly any has points that count.
 template <class T>
 DEVICE void rooms(const T* points, const SheetNeighbours<T>& n, T reach, T* room, int32_t* nearest, Scratch& scratch) {
   const int64_t mark = scratch.used, count = n.clusters.count / LANES;
@@ -114,7 +114,7 @@ DEVICE void rooms(const T* points, const SheetNeighbours<T>& n, T reach, T* room
   }
   for (int64_t e = LANES * count - 1; e >= 0; --e) {  // a lane that repeats a vertex comes before its own
     const bool is_close = lanes.square[e] < lanes.most;
-    // The root of the square of the reach may be less than the reach.
+    // The root of the squared reach may be less than the reach.
     room[n.clusters[e]] = is_close ? root(lanes.square[e]) : reach;
     nearest[n.clusters[e]] = is_close ? n.clusters[lanes.which[e]] : -1;
   }
@@ -124,7 +124,7 @@ DEVICE void rooms(const T* points, const SheetNeighbours<T>& n, T reach, T* room
 #else
 #include "boxes_one.hpp"
 
-// The list's entry of the bound of a pair of clusters, -1 where none is listed.
+// Returns the list's entry with the bound of a pair of clusters, -1 where the pair is not listed.
 template <class T> INLINE int64_t listed(const SheetNeighbours<T>& n, int64_t a, int64_t b) {
   int64_t found = -1;
   for (int64_t i = n.other_start[a]; i < n.other_start[a + 1]; ++i) found = n.other[i] == b ? i : found;
@@ -170,7 +170,7 @@ template <class T> INLINE Vector<T> shorter(Vector<T> way, Vector<T> other) {
   return dot(way, way) < dot(other, other) ? way : other;
 }
 
-// The shortest way to a point [m] from the triangles of the place u.
+// Returns the shortest way [m] from the triangles of the place u to a point [m].
 template <class T> INLINE Vector<T> from_triangles(const T* x, const Sheet<T>& sheet, int64_t u, Vector<T> at) {
   const Vector<T> corner = point(x, u), off = at - corner;
   const int64_t lane = u % LANES;
@@ -184,7 +184,7 @@ template <class T> INLINE Vector<T> from_triangles(const T* x, const Sheet<T>& s
   return found;
 }
 
-// How near [m] cloth beside cloth is looked for, and how near it comes.
+// How near [m] other cloth is looked for, and how near it may come.
 template <class T> struct Spacing {
   T reach, kept;
   INLINE_MEMBER explicit Spacing(const Sheet<T>& sheet)
@@ -192,8 +192,8 @@ template <class T> struct Spacing {
         kept(less<T>(T(KEPT) / T(sheet.constants.per_edge), T(KEPT_M))) {}
 };
 
-// Writes the plane that keeps the place p of x [m] (P, 3) from the triangles of another one, if they are nearer than
-// kept [m] and no other part of the body holds it sooner.
+// Writes the plane that keeps the place p of x [m] (P, 3) from the triangles of the place beside, if they are nearer
+// than kept [m] and no other part of the body holds it first.
 template <class T>
 INLINE void put_apart(const T* x, const Sheet<T>& sheet, int64_t p, int64_t beside, T kept, T* planes) {
   const Vector<T> here = point(x, p), way = from_triangles(x, sheet, beside, here);
@@ -208,8 +208,8 @@ INLINE void put_apart(const T* x, const Sheet<T>& sheet, int64_t p, int64_t besi
   put_lane3(own + 3 * LANES, 0, normal);
 }
 
-// Writes the planes that keep x [m] (P, 3) apart to those of other parts, and a 1 to NEAR_ROW where other cloth is
-// within reach.
+// Writes the planes that keep x [m] (P, 3) apart from itself into those of other body parts, and a 1 to NEAR_ROW where
+// other cloth is within reach.
 template <class T>
 DEVICE void keep_apart(const T* x, const Sheet<T>& sheet, const SheetNeighbours<T>& neighbours, T* planes,
                        Scratch& scratch) {

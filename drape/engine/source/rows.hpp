@@ -26,7 +26,7 @@ typedef int32_t Indices __attribute__((ext_vector_type(16)));
 template <class T> using Four = T __attribute__((ext_vector_type(4)));
 template <class T> using Block = T __attribute__((ext_vector_type(48)));
 
-// Memory has no alignment but that of a number.
+// Memory is aligned as a single number is, and no more.
 template <class V, class T> INLINE V loaded(const T* from) {
   V v;
   __builtin_memcpy(&v, from, sizeof v);
@@ -46,18 +46,19 @@ template <class T> INLINE Row<T> root(Row<T> a) { return __builtin_elementwise_s
 INLINE float root(float a) { return __builtin_sqrtf(a); }
 INLINE double root(double a) { return __builtin_sqrt(a); }
 
-// The numbers of a row, and the lanes that they are of: a thread holds number k of WIDTH, that of lane_of(k).
+// The lane of number k of a row: a thread holds WIDTH numbers, number k is that of lane_of(k).
 INLINE int lane_of(int k) { return k; }
 INLINE bool holds(int) { return true; }
 template <class R> INLINE auto number_in(R row, int k) { return row[k]; }
 template <class R, class N> INLINE void set_number(R& row, int k, N number) { row[k] = number; }
 template <class R, class N> INLINE void add_product(R& row, int k, N a, N b) { row[k] += a * b; }
 
-// As many numbers one after the other as a thread holds.
+// Returns as many numbers, one after the other in memory, as a thread holds.
 template <class T> INLINE Row<T> several_at(const T* from) { return row_at(from); }
 template <class T> INLINE void put_several(T* to, Row<T> row) { put(to, row); }
 
-// Rows of indices: in memory, as a thread holds them (WIDTH of them), and one after the other from first on.
+// Rows of indices: as they lie in memory, as a thread holds them (WIDTH of them), and one after the other from first
+// on.
 INLINE Indices indices_at(const int32_t* from) { return loaded<Indices>(from); }
 INLINE Indices indices_in(const int32_t* held) { return loaded<Indices>(held); }
 INLINE Indices indices_from(int64_t first) {
@@ -67,7 +68,8 @@ INLINE Indices indices_from(int64_t first) {
 }
 template <class T> INLINE Mask<T> differ(Indices a, Indices b) { return __builtin_convertvector(a != b, Mask<T>); }
 
-// The bits of the lanes that a mask holds for:  while (bits) { int lane = first_lane(bits); bits &= bits - 1; ... }
+// Returns the lanes for which a mask holds as bits:  while (bits) { int lane = first_lane(bits); bits &= bits - 1; ...
+// }
 template <class T> INLINE uint32_t lanes_of(Mask<T> mask) {
   typedef bool Bits __attribute__((ext_vector_type(16)));
   uint16_t bits;
@@ -79,7 +81,7 @@ INLINE int first_lane(uint32_t bits) { return __builtin_ctz(bits); }
 INLINE uint32_t lanes_from(uint32_t bits, int lane) { return lane <= 0 ? bits : lane >= 32 ? 0 : (bits >> lane) << lane; }
 INLINE uint32_t lanes_before(int64_t lane) { return lane >= LANES ? 0xFFFFu : (1u << lane) - 1u; }
 
-// Sixteen points that lie behind each other.
+// Returns sixteen points that lie one after the other in memory.
 template <class T> INLINE Points<T> points_in(const T* from) {
   Block<T> w = loaded<Block<T>>(from);
 #define EVERY_THIRD(o)                                                                                               \
@@ -101,7 +103,7 @@ template <class T> INLINE void put_points(T* to, Points<T> a) {
   store(to, w);
 }
 
-// The first to fourth numbers of sixteen fours, as rows. Shuffles stay within quarters, where they are cheap.
+// The first to fourth numbers of sixteen quadruples, as rows. Shuffles stay within quarters, where they are cheap.
 template <class T> struct FourRows { Row<T> a, b, c, d; };
 template <class T> INLINE FourRows<T> turned(const Four<T> (&r)[LANES]) {
   Row<T> w[4];
@@ -124,7 +126,8 @@ template <class T> INLINE FourRows<T> turned(const Four<T> (&r)[LANES]) {
 #undef QUARTERS
 }
 
-// Sixteen points of x (P, 3) by index. Behind the last point there is room for one number, which is read and left out.
+// Returns sixteen points of x (P, 3) by index. Behind the last point there is room for one number, which is read and
+// left out.
 template <class T> INLINE Points<T> points_at(const T* x, const int32_t* index) {
   Four<T> r[LANES];
 #pragma clang loop unroll(full)
@@ -133,7 +136,7 @@ template <class T> INLINE Points<T> points_at(const T* x, const int32_t* index) 
   return {t.a, t.b, t.c};
 }
 
-// Four numbers of sixteen rows of a table by index, stride numbers from one row to the next.
+// Returns four numbers of sixteen rows of a table by index; stride numbers lie from one row to the next.
 template <class T> INLINE FourRows<T> fours_at(const T* table, const int32_t* index, int stride) {
   Four<T> r[LANES];
 #pragma clang loop unroll(full)
@@ -145,7 +148,7 @@ template <class T> INLINE void put_fours(T* to, FourRows<T> t) {
   for (int lane = 0; lane < LANES; ++lane) store(to + 4 * lane, Four<T>{t.a[lane], t.b[lane], t.c[lane], t.d[lane]});
 }
 
-// The same by indices that a thread holds, and of sixteen rows of four one after the other.
+// The same by indices that a thread holds, and of sixteen rows of four that lie one after the other.
 template <class T> INLINE Points<T> points_of(const T* x, const int32_t* held) { return points_at(x, held); }
 template <class T> INLINE FourRows<T> fours_of(const T* table, const int32_t* held, int stride) {
   return fours_at(table, held, stride);
@@ -167,7 +170,7 @@ template <class T> INLINE Vector<T> moved(Moves<T> m, Vector<T> p) {
   return {found.x, found.y, found.z};
 }
 
-// The sum of a row's lanes: halved until four are left, then (0 + 2) + (1 + 3).
+// Returns the sum of a row's lanes: they are halved until four are left, then (0 + 2) + (1 + 3).
 template <class T> INLINE T sum(Row<T> a) {
   auto eight = __builtin_shufflevector(a, a, 0, 1, 2, 3, 4, 5, 6, 7) +
                __builtin_shufflevector(a, a, 8, 9, 10, 11, 12, 13, 14, 15);
@@ -176,12 +179,12 @@ template <class T> INLINE T sum(Row<T> a) {
 }
 template <class T> INLINE Vector<T> sums(Points<T> a) { return {sum<T>(a.x), sum<T>(a.y), sum<T>(a.z)}; }
 
-// Each number without what is behind its point, within the range of 32 or 64 bits.
+// Returns each number without its fraction, within the range of 32 or 64 bits.
 template <class T> INLINE Row<T> whole(Row<T> a) {
   return __builtin_convertvector(__builtin_convertvector(a, Mask<T>), Row<T>);
 }
 
-// a times two to the power, whole numbers for which two to them is a normal number.
+// Returns a times two to the power: whole numbers for which two to them is a normal number.
 INLINE Row<float> times_two_to(Row<float> a, Row<float> power) {
   Mask<float> bits = (__builtin_convertvector(power, Mask<float>) + 127) << 23;
   Row<float> factor;
@@ -196,7 +199,7 @@ INLINE Row<double> times_two_to(Row<double> a, Row<double> power) {
 }
 #endif
 
-// Three rows in memory, one after the other.
+// Returns three rows that lie one after the other in memory.
 template <class T> INLINE Points<T> rows3_at(const T* from) {
   return {row_at(from), row_at(from + LANES), row_at(from + 2 * LANES)};
 }
@@ -214,7 +217,8 @@ template <class T> INLINE void put_lane3(T* to, int lane, Vector<T> a) {
   to[2 * LANES + lane] = a.z;
 }
 
-// Four numbers of sixteen samples (S, 8) by index: point and its square from 0 on, normal and normal times point from 4.
+// Returns four numbers of sixteen samples (S, 8) by index: point and its square from 0 on, normal and normal times
+// point from 4 on.
 template <class T> INLINE FourRows<T> samples_at(const T* table, const int32_t* index, int begin) {
   return fours_at(table + begin, index, 8);
 }
@@ -222,7 +226,7 @@ template <class T> INLINE FourRows<T> samples_of(const T* table, const int32_t* 
   return fours_of(table + begin, held, 8);
 }
 
-// e to each number, to 3e-8 of it or the type's rounding; below -80 that of -80, above 80 that of 80.
+// Returns e to each number, to 3e-8 of it or the type's rounding; below -80 that of -80, above 80 that of 80.
 template <class T> INLINE Row<T> exponential(Row<T> a) {
   a = least<T>(most<T>(a, row_of(T(-80))), row_of(T(80)));
   Row<T> n = a * T(1.4426950408889634);
@@ -237,7 +241,7 @@ template <class T> INLINE Row<T> exponential(Row<T> a) {
   return times_two_to(series * x + T(1), n);
 }
 
-// The hyperbolic tangent of each number.
+// Returns the hyperbolic tangent of each number.
 template <class T> INLINE Row<T> tangent(Row<T> a) {
   Row<T> size = root<T>(a * a), small = exponential<T>(size * T(-2)), bent = (T(1) - small) / (T(1) + small);
   return where<T>(a > row_of(T(0)), bent, -bent);

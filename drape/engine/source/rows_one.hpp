@@ -58,7 +58,7 @@ template <class T> INLINE void put_fours(T* to, FourRows<T> t) {
   to[0] = t.a, to[1] = t.b, to[2] = t.c, to[3] = t.d;
 }
 
-// The sums of three rows in memory, in the order of a processor.
+// Returns the sum of a row in memory, in the order of a processor.
 template <class T> INLINE T sum_in(const T* row) {
   T four[4];
   for (int n = 0; n < 4; ++n) four[n] = (row[n] + row[n + 8]) + (row[n + 4] + row[n + 12]);

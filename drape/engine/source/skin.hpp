@@ -39,8 +39,8 @@ constexpr double NEARER = 0.8;  // of the squared distance to the own sample: on
 constexpr double BESIDE = 1.5, FREE = 2.5;  // squared ways aside of a sample, times r^2, between which a plane ends
 constexpr double HOLLOW_M = 0.05, APART_M = 0.12;  // at rest, from which skin may be hollow, and is another part
 
-// Whether points lie behind the samples own, in the body or beyond it, and the network's do not: they are more than
-// THROUGH_M below a sample's plane and no more aside of the sample than below.
+// Returns whether points lie behind the samples own, in the body or beyond it, where the network's points do not: they
+// are more than THROUGH_M below a sample's plane, and no farther aside of the sample than below it.
 template <class T> INLINE Mask<T> came_through(Points<T> points, Points<T> network, const int32_t* own,
                                                const Skin<T>& skin) {
   const FourRows<T> s = samples_of(skin.samples, own, 0), n = samples_of(skin.samples, own, 4);
@@ -49,8 +49,8 @@ template <class T> INLINE Mask<T> came_through(Points<T> points, Points<T> netwo
   return (height < T(-THROUGH_M)) & (dot(way, way) < T(2) * height * height) & (wanted > T(-BEFORE_M));
 }
 
-// Lays the places x [m] (P, 3) that came through the skin where the network has them; own (C,) are the samples of what
-// each place has in parent (P,), of its own place where there is no parent.
+// Moves the places x [m] (P, 3) that came through the skin back to the network's. own (C,) are the samples of the
+// coarse places; parent (P,) is the coarse place of each place, empty where each is its own.
 template <class T>
 DEVICE void lay_back(T* x, const T* network, int64_t places, const Skin<T>& skin, const int32_t* own,
                      const int32_t* parent) {
@@ -68,7 +68,7 @@ DEVICE void lay_back(T* x, const T* network, int64_t places, const Skin<T>& skin
 
 template <class T> struct Planes { Points<T> foot, unit; };
 
-// The planes of the walks' samples and their neighbours below points.
+// Returns the planes of the walks' samples and of their neighbours below points.
 template <class T> INLINE Planes<T> planes_below(Points<T> points, Walks& walks, const Skin<T>& skin) {
   look_around(walks, skin.neighbour);
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
@@ -88,7 +88,7 @@ template <class T> INLINE Planes<T> planes_below(Points<T> points, Walks& walks,
     FourRows<T> p = samples_of(skin.samples, near, 0), q = samples_of(skin.samples, near, 4);
     Points<T> place = {p.a, p.b, p.c}, way = place - points;
     Row<T> share = least<T>(most<T>(one - (dot(way, way) - own_square) * per_m2, zero), one);
-    // A sample may be its own neighbour, which counts once.
+    // A sample may be its own neighbour, and counts once.
     Row<T> weight = where<T>(differ<T>(indices_in(near), own), share * share, zero);
     total += weight;
     product = product + weight * q.d;
@@ -104,7 +104,7 @@ template <class T> INLINE Planes<T> planes_below(Points<T> points, Walks& walks,
   return {plus(points, -distance, unit), unit};
 }
 
-// Whether a sample is of another part of the body than the own one.
+// Returns whether a sample is of another part of the body than the sample own.
 template <class T> INLINE bool is_other(const Skin<T>& skin, int32_t own, int32_t sample) {
   Vector<T> apart = point(skin.rest, sample) - point(skin.rest, own);
   T rest = dot(apart, apart);
@@ -113,7 +113,7 @@ template <class T> INLINE bool is_other(const Skin<T>& skin, int32_t own, int32_
   return dot(skin.normal_of(own), skin.point_of(sample) - skin.point_of(own)) > 0;
 }
 
-// The points of the samples in the order of a grid: three rows of all, each with room for LANES more.
+// Returns the points of the samples in the order of a grid: three rows of all, each with room for LANES more.
 template <class T> DEVICE const T* in_cells(const Skin<T>& skin, const Grid& grid, Scratch& scratch) {
   const int64_t size = skin.count + LANES;
   T* laid = scratch.take<T>(3 * size);
@@ -126,7 +126,8 @@ template <class T> DEVICE const T* in_cells(const Skin<T>& skin, const Grid& gri
   return laid;
 }
 
-// Whether the network's place [m] is in the part of a sample, of which that is not the side before the own sample.
+// Returns whether the network's place [m] is inside the part of a sample, on a side that is not the one before the
+// sample own.
 template <class T> INLINE bool is_beyond(const Skin<T>& skin, int32_t own, int32_t sample, Vector<T> network) {
   const Vector<T> normal = skin.normal_of(sample), at = skin.point_of(sample);
   return dot(normal, network - at) < T(-BEYOND_M) && dot(normal, skin.point_of(own) - at) < T(-BEYOND_M);
@@ -134,8 +135,9 @@ template <class T> INLINE bool is_beyond(const Skin<T>& skin, int32_t own, int32
 
 struct NearSamples { int32_t other, same; };
 
-// The sample nearest to a point [m] that is of another part than the own one and not beyond it for the network's place
-// [m], -1 where none is within reach, and the nearest one of the same part: the own one unless another is NEARER.
+// Returns the sample nearest to a point [m] that is of another part than the sample own and not beyond it for the
+// network's place [m], -1 where none is within reach; and the nearest sample of the same part, which is own unless
+// another one is NEARER.
 template <class T>
 INLINE NearSamples near_samples(Vector<T> at, Vector<T> network, const Skin<T>& skin, int32_t own, const Grid& grid,
                                 const T* laid) {
@@ -169,7 +171,8 @@ INLINE NearSamples near_samples(Vector<T> at, Vector<T> network, const Skin<T>& 
   return found;
 }
 
-// Few vertices are near another part: their planes wait until there are as many as a thread holds lanes.
+// The planes of other body parts that are still to be computed. Few vertices are near another part, so they wait until
+// there are as many as a thread holds lanes.
 template <class T> struct LatePlanes {
   const T* x;
   T* planes;
@@ -198,10 +201,10 @@ template <class T> struct LatePlanes {
   }
 };
 
-// Moves other (P,) on to what is near x [m] (P, 3), which the network has at network [m] (P, 3) and at the samples own
-// (P,), and writes the samples at (P,) that x is at and both tangent planes. The grid is asked for the vertices whose
-// number is turn modulo TURNS, for all of them where turn is negative. A plane is the foot of x on it and its normal;
-// where no other part is near the second normal is zero.
+// Moves other (P,), the samples of other body parts, on to those near x [m] (P, 3), which the network has at network
+// [m] (P, 3) and at the samples own (P,). Writes the samples at (P,) that x lies at, and both tangent planes. The grid
+// is asked for the vertices whose number is turn modulo TURNS, and for all where turn is negative. A plane is the foot
+// of x on it and its normal; where no other part is near the second normal is zero.
 template <class T>
 DEVICE void touch(const T* x, const T* network, int64_t places, const Skin<T>& skin, const int32_t* vertex, int32_t* own,
                   int32_t* other, int32_t* at, int64_t turn, T* planes, Scratch& scratch) {
@@ -250,7 +253,7 @@ DEVICE void touch(const T* x, const T* network, int64_t places, const Skin<T>& s
   scratch.used = mark;
 }
 
-// The planes below points of a block, a walk on from the samples own (C,) of what each place has in parent.
+// Returns the planes below points of a block, by walks from the samples own (C,) of their coarse places parent.
 template <class T>
 INLINE Planes<T> own_planes(Points<T> points, const int32_t* own, const int32_t* parent, Walks& walks,
                             const Skin<T>& skin) {
@@ -259,8 +262,8 @@ INLINE Planes<T> own_planes(Points<T> points, const int32_t* own, const int32_t*
   return planes_below(points, walks, skin);
 }
 
-// Writes the planes below x [m] (P, 3), a walk on from the samples own (C,) of what each place has in parent (P,);
-// of its own place where there is no parent.
+// Writes the planes below x [m] (P, 3), by walks from the samples own (C,) of their coarse places parent (P,), or of
+// the places themselves where parent is empty.
 template <class T>
 DEVICE void put_own_planes(const T* x, int64_t places, const Skin<T>& skin, const int32_t* own, const int32_t* parent,
                            T* planes) {
@@ -275,8 +278,8 @@ DEVICE void put_own_planes(const T* x, int64_t places, const Skin<T>& skin, cons
   }
 }
 
-// Writes the planes below x [m] (P, 3) of other parts, of the samples other (C,) of what each place has in parent (P,);
-// of a sample -1 none.
+// Writes the planes of other body parts below x [m] (P, 3), those of the samples other (C,) of their coarse places
+// parent (P,); none for a sample -1.
 template <class T>
 DEVICE void put_other_planes(const T* x, int64_t places, const Skin<T>& skin, const int32_t* other,
                              const int32_t* parent, T* planes) {
@@ -287,7 +290,7 @@ DEVICE void put_other_planes(const T* x, int64_t places, const Skin<T>& skin, co
 }
 
 // The frames of the samples own of a block: the normal, the way to the first neighbour laid into the tangent plane, and
-// the product of the two. A sample without neighbours takes what lies on it along the normal alone.
+// their cross product. A sample without neighbours moves what lies on it along the normal alone.
 template <class T> struct SkinFrames {
   Points<T> at;
   AxesOf<T> axes;
@@ -305,8 +308,8 @@ template <class T> INLINE SkinFrames<T> skin_frames(const Skin<T>& skin, const i
   return {at, {n, e, cross(n, e)}};
 }
 
-// Writes where the posed skin has taken what sticks to it to stuck [m] (P, 3); grip [m] (P, 3) has the places in the
-// frames of the samples own (P,).
+// Writes to stuck [m] (P, 3) the places to which the posed skin has taken the cloth that sticks to it. grip [m] (P, 3)
+// are the places in the frames of the samples own (P,).
 template <class T>
 DEVICE void stuck_places(const T* grip, int64_t places, const int32_t* own, const Skin<T>& skin, T* stuck) {
   for (int64_t block : each_block(places / LANES)) {
@@ -316,8 +319,8 @@ DEVICE void stuck_places(const T* grip, int64_t places, const int32_t* own, cons
   }
 }
 
-// Writes the places that stuck [m] (P, 3) has after x [m] (P, 3) has moved to grip, in the frames of the samples own. A
-// place comes along below x, and is left behind by no more than SLIP_M.
+// Writes to grip the places that the cloth sticks to after x [m] (P, 3) has moved, in the frames of the samples own;
+// stuck [m] (P, 3) are those before. A place comes along below x, and stays behind by no more than SLIP_M.
 template <class T>
 DEVICE void write_grip(const T* x, int64_t places, const T* stuck, const int32_t* own, const Skin<T>& skin, T* grip) {
   const Row<T> one = row_of(T(1)), slip_m = row_of(T(SLIP_M));

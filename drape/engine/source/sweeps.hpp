@@ -36,9 +36,9 @@ template <class T> struct Model {
   Symmetric<Row<T>> hessian;  // [N/m]
 };
 
-// Weight, planes, leash and friction at the points x of a block, with bending's diagonal. Without CURVATURE the Hessian
-// has no meaning, and stiffness that a step of the whole does not know is bounded: leash and friction together count no
-// more than the leash at rest plus hold times contact, and two planes no more than one.
+// Returns the model of weight, planes, leash and friction at the points x of a block, with the diagonal of bending.
+// Without CURVATURE the Hessian has no meaning, and stiffness that a step of the whole does not know is bounded: leash
+// and friction together count no more than the leash at rest plus hold times contact, and two planes no more than one.
 template <bool CURVATURE, class T>
 INLINE Model<T> outside(Points<T> x, const T* own, const T* planes, Points<T> network, T hold, const Fabric<T>& k) {
   const Row<T> zero = row_of(T(0));
@@ -74,8 +74,8 @@ INLINE Model<T> outside(Points<T> x, const T* own, const T* planes, Points<T> ne
   return {force, outer(h, lost, way)};
 }
 
-// Adds a hinge that is not flat at rest to one lane of the model: entry 4 h + c where that vertex is corner c of hinge
-// h.
+// Adds to one lane of the model a hinge that is not flat at rest. member is 4 h + c, where the lane's vertex is corner
+// c of hinge h.
 template <bool CURVATURE, class T>
 INLINE void add_crease(Model<T>& model, const T* x, const Creases<T>& creases, int lane, int32_t member,
                        const Fabric<T>& k) {
@@ -101,7 +101,7 @@ INLINE void add_crease(Model<T>& model, const T* x, const Creases<T>& creases, i
   add_product(s.zz, lane, b.z, turn.z);
 }
 
-// Gradient and Hessian of a block's vertices.
+// Returns gradient [N] and Hessian [N/m] of a block's vertices.
 template <bool CURVATURE, class T>
 INLINE Model<T> model_of(const T* x, int64_t block, const Sheet<T>& sheet, const T* planes, const T* network, T hold,
                          const Fabric<T>& k) {
@@ -129,7 +129,7 @@ INLINE Model<T> model_of(const T* x, int64_t block, const Sheet<T>& sheet, const
     }
   }
   for (int64_t row = sheet.bend_start[block]; row < sheet.bend_start[block + 1]; ++row)
-    // The rows of the bending matrix sum to zero.
+    // The rows of the bending matrix sum to zero, so it is applied to differences.
     g = plus(g, row_at(sheet.bend_value + LANES * row), points_at(x, sheet.bend_other + LANES * row) - own);
   model = {g, h};
   for (int64_t entry = sheet.crease_start[block]; entry < sheet.crease_start[block + 1]; ++entry)
@@ -149,7 +149,7 @@ template <class T> INLINE int64_t colour_start(const Sheet<T>& sheet, int64_t n)
 }
 #endif
 
-// How much of its step a block of points takes in a sweep that others follow.
+// Returns the share of its step that each point takes in a sweep that others follow.
 template <class T> INLINE Row<T> onward(Points<T> x, const T* planes) {
   const Row<T> one = row_of(T(1));
   const Points<T> normal = rows3_at(planes + OWN_PLANE + 3 * LANES), other = rows3_at(planes + OTHER_PLANE + 3 * LANES);
@@ -158,8 +158,8 @@ template <class T> INLINE Row<T> onward(Points<T> x, const T* planes) {
   return where<T>((height > row_of(T(FREE_M))) & (row_of(T(0.5)) > held), row_of(T(OVER)), one);
 }
 
-// One sweep over x [m] (P, 3), in place, held by planes and to the places of the network [m] (P, 3); others follow it
-// if over is true. Behind the last point of x there is room for one number.
+// Makes one sweep over x [m] (P, 3), in place, held by planes and to the places of the network [m] (P, 3). over:
+// whether other sweeps follow. Behind the last point of x there is room for one number.
 template <class T>
 DEVICE void descend(T* x, const Sheet<T>& sheet, const T* planes, const T* network, bool over = false) {
   const Fabric<T> k(sheet.constants);
@@ -174,8 +174,8 @@ DEVICE void descend(T* x, const Sheet<T>& sheet, const T* planes, const T* netwo
     }
 }
 
-// The gradient [N] (P, 3) at x that a step of the whole starts from; hold: the share of contact's stiffness that it
-// allows leash and friction.
+// Writes the gradient [N] (P, 3) at x from which a step of the whole starts. hold is the share of contact's stiffness
+// that it allows leash and friction.
 template <class T>
 DEVICE void gradient_at(const T* x, const Sheet<T>& sheet, const T* planes, const T* network, T hold, T* gradient) {
   const Fabric<T> k(sheet.constants);

@@ -41,7 +41,7 @@ template <class T> struct Schedule {
   bool first;
 };
 
-// The unit normal of the coarse triangles around node i, zeros where they have no area.
+// Returns the unit normal of the coarse triangles around node i, zeros where they have no area.
 template <class T> INLINE Vector<T> normal_at(const T* c, int64_t i, const SwingMesh<T>& mesh) {
   Vector<T> total = {};
   const Vector<T> own = point(c, i);
@@ -51,7 +51,7 @@ template <class T> INLINE Vector<T> normal_at(const T* c, int64_t i, const Swing
   return square > 0 ? scaled(T(1) / root(square), total) : total;
 }
 
-// How stiffly [N/m] a node is held where the network has it.
+// Returns how stiffly [N/m] a node is held where the network has it.
 template <class T> INLINE T hold_of(Vector<T> at, const T* sample, T held) {
   const Vector<T> off = at - point(sample, 0);
   T height = dot(off, point(sample + 4, 0));
@@ -63,7 +63,7 @@ template <class T> INLINE T hold_of(Vector<T> at, const T* sample, T held) {
 
 template <class T> struct State { const T *network, *swung, *speed; };  // the frame before, (N, 3) each
 
-// Writes the swung nodes [m] (N, 3) and their speed [m/s]; touched (N,) are the samples below still cloth.
+// Writes the swung nodes [m] (N, 3) and their speed [m/s] (N, 3). touched (N,) are the samples below still cloth.
 template <class T>
 DEVICE void advance(const State<T>& before, const T* network, const Skin<T>& skin, const Array<double>& colliders,
              const int32_t* touched, const SwingConstants<T>& cloth, const Schedule<T>& schedule, T* swung, T* speed,
@@ -95,7 +95,7 @@ DEVICE void advance(const State<T>& before, const T* network, const Skin<T>& ski
     inertia[i] = mesh.mass_kg[i] / (h * h);
     put_point(u, i, was - point(before.network, i));
     put_point(rhs, i, scaled(inertia[i], plus(was, h, v) - still));
-    // It lies on the first of its planes, beyond which the network has it.
+    // The node lies on the first of its planes, beyond which the network has it.
     const Vector<T> normal = point(planes + 8 * i, 0);
     const T where_ = planes[8 * i + 3];
     if (dot(normal, was) - where_ < T(LYING_M) && dot(normal, still) < where_) {
@@ -115,7 +115,7 @@ DEVICE void advance(const State<T>& before, const T* network, const Skin<T>& ski
   write_bounds(x, rows, bound);
   follow(swung, nodes, skin, here);
   for (int64_t i : each(nodes)) {
-    // Still cloth that lies near a part of the body stays on its side of that, however far it swings.
+    // Cloth that lies near a part of the body while it is still stays on its side of that, however far it swings.
     const Vector<T> off = point(network, i) - skin.point_of(touched[i]);
     if (dot(off, off) < T(TOUCH_M * TOUCH_M)) here[i] = touched[i];
   }
@@ -127,11 +127,11 @@ DEVICE void advance(const State<T>& before, const T* network, const Skin<T>& ski
   scratch.used = mark;
 }
 
-// Lets weight take hanging cloth along with a body that goes down: its speed [m/s] (N, 3) changes by as much as that of
-// still cloth, by gravity's at most, so that none is left behind in the air; and one that goes up takes along what is
-// taut, swung [m] (N, 3) beside it no higher than SLACK_M. Cloth without a past goes as still cloth
-// does, which goes from before to network [m] (N, 3) in step_s; climb [m/s] (N,) is how fast that went up in the frame
-// before, no number where there was none, and is replaced. Returns the weight that is left, in parts of that at rest.
+// Lets weight take hanging cloth along with a body that goes down, so that none is left behind in the air: its speed
+// [m/s] (N, 3) changes by as much as that of still cloth does, by gravity's at most. A body that goes up takes along
+// taut cloth, which is swung [m] (N, 3) and beside it no higher than SLACK_M. Cloth without a past moves as still
+// cloth, from before to network [m] (N, 3) in step_s [s]. climb [m/s] (N,) is how fast still cloth went up in the frame
+// before, NaN without one, and is replaced. Returns the weight that is left, as a share of that at rest.
 template <class T>
 DEVICE T fall_along(const T* before, const T* network, const T* swung, T step_s, int64_t nodes, T* climb, T* speed, T* room) {
   const T gained = sum_in_order(nodes, room, [&](int64_t i) {
@@ -151,7 +151,7 @@ DEVICE T fall_along(const T* before, const T* network, const T* swung, T step_s,
   return less<T>(more<T>(weight, T(0)), T(HEAVIEST));
 }
 
-// Whether two tables have the same numbers.
+// Returns whether two tables have the same numbers.
 template <class N> DEVICE bool is_same(const N* one, int64_t count, const N* other, int64_t other_count) {
   if (count != other_count) return false;
   int differs = 0;
@@ -168,7 +168,8 @@ template <class T> DEVICE T farthest_node_m(const T* x, const T* y, int64_t node
   return root(most_of_all(square));
 }
 
-// Moves the vertices [m] (V, 3) by a share of the way and turn of nodes that swung; what has become of them.
+// Moves the vertices [m] (V, 3) by a share of the way and turn of the nodes that swung; returns the kind of frame that
+// it is.
 template <class T>
 DEVICE Kind carry(const T* vertices, int64_t count, const T* network, const T* swung, const SwingMesh<T>& mesh, T share,
            T* out, Scratch& scratch) {
@@ -179,8 +180,8 @@ DEVICE Kind carry(const T* vertices, int64_t count, const T* network, const T* s
   return MOVED;
 }
 
-// Takes the nodes on from the frame before: writes the after's nodes, speed, samples and since when nothing moved, and
-// the vertices [m] (V, 3). CUT where no swing leads from that frame to this one.
+// Moves the nodes on from the frame before: writes to after the nodes, their speed, samples and since when nothing
+// moved, and to out the vertices [m] (V, 3). Returns CUT where no swing leads from that frame to this one.
 template <class T>
 DEVICE Kind go_on(const T* vertices, int64_t count, const SwingMemory<T>& past, const Skin<T>& skin,
            const Array<double>& colliders, const SwingConstants<T>& cloth, T share, SwingMemory<T>& after, T* out,
@@ -220,7 +221,7 @@ DEVICE Kind go_on(const T* vertices, int64_t count, const SwingMemory<T>& past, 
     const int64_t steps = colliders.count ? 1 : int64_t(1.0 + double(step_s) / LONGEST_STEP_S);
     for (int64_t i : each(3 * nodes)) before[i] = network[i] - (network[i] - before[i]) / T(steps);
     for (int64_t step = 0; step < steps && !scratch.overflowed; ++step) {
-      // Still cloth is where it will be; nodes come from where it was a step before.
+      // Still cloth is at its new place already; nodes come from where it was a step before.
       for (int64_t i : each(3 * nodes)) start[i] = swung[i] - network[i] + before[i], pace[i] = speed[i];
       advance<T>({before, start, pace}, network, skin, colliders, after.touched, cloth,
                  {step_s / T(steps), T(cloth.damping_per_s + calming), T(cloth.young_n_per_m), weight, false}, swung,
@@ -231,7 +232,7 @@ DEVICE Kind go_on(const T* vertices, int64_t count, const SwingMemory<T>& past, 
   return carry(vertices, count, network, swung, cloth.mesh, share, out, scratch);
 }
 
-// Lets cloth that hangs still and is in a collider come to rest on it: writes the after's nodes.
+// Lets cloth that hangs still and is in a collider come to rest on it: writes the nodes of after.
 template <class T>
 DEVICE void come_to_rest(const Skin<T>& skin, const Array<double>& colliders, const SwingConstants<T>& cloth,
                   SwingMemory<T>& after, Scratch& scratch) {

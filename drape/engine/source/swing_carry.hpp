@@ -28,7 +28,7 @@ constexpr double ENOUGH = 1e-9;
 constexpr int MEANS = 3;  // none leave a walking skirt half again as much curvature, six no less
 constexpr double LEAST_ALONG = 1e-3;  // of the squared sides: a smaller sum of r . m says little of a rotation
 
-// Turns the columns e, f, g on towards the rotation nearest to a matrix. Sums of r . m below least turn them less.
+// Turns the columns e, f, g on towards the rotation nearest to a matrix; sums of r . m below least turn them less.
 // Returns the square of the half turn.
 template <class T> INLINE Row<T> turn_on(Points<T>& e, Points<T>& f, Points<T>& g, const Matrix<T>& m, Row<T> least_) {
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
@@ -45,13 +45,14 @@ template <class T> INLINE Row<T> turn_on(Points<T>& e, Points<T>& f, Points<T>& 
 // The nodes of a swing mesh at their places, still x and swung c [m] (P, 3).
 template <class T> struct Nodes { T *x, *c; };
 
-// 1 where a row of triangles has one, 0 where it is empty: it has the place itself, and no area.
+// Returns for each lane 1 where this row has a triangle, and 0 where it is empty: it then has the place itself, and no
+// area.
 template <class T> INLINE Row<T> real_triangle(const SwingRows<T>& rows, int64_t row) {
   const Row<T> area = row_at(rows.slope + 5 * LANES * row + 4 * LANES);
   return where<T>(area > row_of(T(0)), row_of(T(1)), row_of(T(0)));
 }
 
-// Three columns (3, P, 3) of a matrix at every place.
+// Matrices at every place, by their three columns (3, P, 3).
 template <class T> struct Matrices {
   T *a, *b, *c;
   INLINE_MEMBER Matrices(int64_t places, Scratch& scratch)
@@ -65,7 +66,7 @@ template <class T> struct Matrices {
   }
 };
 
-// Writes M of each node's own triangles, and the squares [m^2] (P,) of their sides.
+// Writes to found the matrix M of each node's own triangles, and to square (P,) the squares [m^2] of their sides.
 template <class T>
 DEVICE void write_sides(const Nodes<T>& nodes, const SwingRows<T>& rows, const Matrices<T>& found, T* square) {
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
@@ -91,7 +92,8 @@ DEVICE void write_sides(const Nodes<T>& nodes, const SwingRows<T>& rows, const M
 }
 
 #ifdef ONE_LANE
-// Writes R of all nodes. A block's rounds end together, so that lanes tell each other of their last half turns.
+// Writes the rotation R of every node, from its sums M. The rounds of a block end together, so that lanes tell each
+// other their last half turns.
 template <class T>
 DEVICE void write_rotations(const Matrices<T>& sums, const T* square, int64_t blocks, const Matrices<T>& turns,
                             Scratch& scratch) {
@@ -113,7 +115,7 @@ DEVICE void write_rotations(const Matrices<T>& sums, const T* square, int64_t bl
   for (int64_t block : each_block(blocks)) turns.set(3 * LANES * block, found.in(3 * LANES * block));
 }
 #else
-// The rotation nearest to a matrix, of 1 where that is zero.
+// Returns the rotation nearest to a matrix, the identity where that is zero.
 template <class T> INLINE Matrix<T> rotation_of(const Matrix<T>& m, Row<T> least_) {
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
   Points<T> e = {one, zero, zero}, f = {zero, one, zero}, g = {zero, zero, one};
@@ -130,7 +132,7 @@ void write_rotations(const Matrices<T>& sums, const T* square, int64_t blocks, c
 }
 #endif
 
-// Writes R of every node, of M over the nodes that are so many rings away at most.
+// Writes the rotation R of every node, of the matrices M summed over the nodes at most so many rings away.
 template <class T>
 DEVICE void write_turns(const Nodes<T>& nodes, const SwingRows<T>& rows, int rings, const Matrices<T>& turns,
                  Scratch& scratch) {
@@ -156,7 +158,7 @@ DEVICE void write_turns(const Nodes<T>& nodes, const SwingRows<T>& rows, int rin
   scratch.used = mark;
 }
 
-// Lets the nodes that may move go over to the mean around them and their turned way from that in still cloth.
+// Moves the nodes that may move to the mean around them, plus their way from that mean in still cloth, turned.
 template <class T>
 DEVICE void smooth_nodes(const Nodes<T>& nodes, const SwingRows<T>& rows, const Matrices<T>& turns, Scratch& scratch) {
   const int64_t mark = scratch.used, places = rows.node.count;
@@ -184,7 +186,7 @@ DEVICE void smooth_nodes(const Nodes<T>& nodes, const SwingRows<T>& rows, const 
   scratch.used = mark;
 }
 
-// Writes a share of R - 1 and of c - X - (R - 1) X of every node to table, sixteen numbers each: four columns of four.
+// Writes to table, for every node, a share of R - 1 and of c - X - (R - 1) X: four columns of four numbers.
 template <class T>
 DEVICE void write_nodes(const T* still, const T* swung, const SwingMesh<T>& mesh, T share, T* table, Scratch& scratch) {
   const SwingRows<T>& rows = mesh.rows;
@@ -208,7 +210,8 @@ DEVICE void write_nodes(const T* still, const T* swung, const SwingMesh<T>& mesh
   scratch.used = mark;
 }
 
-// Writes the vertices [m] (V, 3), moved by a share of the nodes' way and turn from still to swung [m] (N, 3), to out.
+// Writes to out the vertices [m] (V, 3), moved by a share of the way and turn of the nodes from still to swung [m] (N,
+// 3).
 template <class T>
 DEVICE void move_vertices(const T* vertices, int64_t count, const T* still, const T* swung, const SwingMesh<T>& mesh, T share,
                    T* out, Scratch& scratch) {

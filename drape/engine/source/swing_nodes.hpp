@@ -30,7 +30,7 @@ constexpr double COMPRESSED = 0.2;
 constexpr double LEAST_STRAIN = 1e-9;  // a difference of principal strains that says nothing of their axes
 constexpr double LOOSE = 0.05;  // a loose triangle resists a step with this share of the stiffness of one that pulls
 
-// The (inertia + hold + weight K) u [N] of the nodes that may move.
+// Writes (inertia + hold + weight K) u [N] of the nodes that may move.
 template <class T>
 DEVICE void pulled(const T* u, const SwingMesh<T>& mesh, const T* inertia, const T* hold, T weight, T* out) {
   for (int64_t n : each(mesh.order.count)) {
@@ -70,7 +70,7 @@ DEVICE void fall_back(T* u, const SwingMesh<T>& mesh, const T* inertia, const T*
   });
   if (old != old)
     for (int64_t i : each(3 * nodes)) u[i] = old;  // NaN, which the caller looks for
-  // Nothing is won beyond what floats can tell of the first residual, and squares of what is left would go under.
+  // Rounds stop where floats cannot tell more of the first residual; squares of smaller residuals would underflow.
   const T eps = sizeof(T) == 4 ? T(1.1920929e-07) : T(2.220446049250313e-16);
   const T end = more<T>(eps * eps * old, T(LEAST_SQUARE));
   for (int64_t round = 0; round < rounds && old > end; ++round) {
@@ -98,20 +98,20 @@ DEVICE void fall_back(T* u, const SwingMesh<T>& mesh, const T* inertia, const T*
 
 template <class N> struct Strain { N pp, tt, pt; };
 
-// Green's strain of a triangle.
+// Returns Green's strain of a triangle.
 template <class T> INLINE Strain<Row<T>> strain(Columns<Row<T>> f) {
   return {T(0.5) * (dot(f.p, f.p) - T(1)), T(0.5) * (dot(f.t, f.t) - T(1)), T(0.5) * dot(f.p, f.t)};
 }
 
-// A symmetric matrix as mean of its principal values, half of their difference, and that times the cosine and the sine
-// of twice the angle of the first one's axis.
+// A symmetric matrix by its principal values: their mean, half of their difference, and that times the cosine and the
+// sine of twice the angle of the first one's axis.
 template <class T> struct Principal { Row<T> mean, half, cosine, sine; };
 template <class T> INLINE Principal<T> principal(Strain<Row<T>> g) {
   Row<T> off = T(0.5) * (g.pp - g.tt);
   return {T(0.5) * (g.pp + g.tt), root<T>(off * off + g.pt * g.pt), off, g.pt};
 }
 
-// Mean and half difference of the principal values of the positive part.
+// The mean and half difference of the principal values of a matrix's positive part.
 template <class T> struct Positive { Row<T> mean, half; };
 template <class T> INLINE Positive<T> positive(const Principal<T>& g) {
   const Row<T> zero = row_of(T(0));
@@ -131,12 +131,13 @@ INLINE Columns<Row<T>> columns_of(const T* x, Points<T> own, const SwingRows<T>&
   return columns(points_at(x, other) - own, points_at(x, other + LANES) - own, s.p1, s.p2, s.t1, s.t2);
 }
 
-// Writes the nodes c [m] (N, 3) at their places, x (P, 3).
+// Writes to x (P, 3) the nodes c [m] (N, 3) at their places.
 template <class T> DEVICE void at_places(const T* c, const SwingRows<T>& rows, T* x) {
   for (int64_t p : each(rows.node.count)) put_point(x, p, point(c, rows.node[p]));
 }
 
-// Writes G+ and G- (pp, tt, pt each) of the triangles of all nodes that move, which are at x [m] (P, 3), six rows each.
+// Writes G+ and G-, each by pp, tt and pt, of the triangles of all nodes that may move and are at x [m] (P, 3): six
+// rows each.
 template <class T> DEVICE void write_bounds(const T* x, const SwingRows<T>& rows, T* bound) {
   for (int64_t block : each_block(rows.moving)) {
     Points<T> own = points_in(x + 3 * LANES * block);
@@ -152,9 +153,9 @@ template <class T> DEVICE void write_bounds(const T* x, const SwingRows<T>& rows
   }
 }
 
-// Gradient [N] and Hessian [N/m] of the length's energy by the nodes of a block. The Hessian has what a triangle
-// resists by along principal axes u that pull, (m . u)^2 F u (F u)^T, and a small share of the rest; m are the slopes
-// of the node's corner.
+// Returns gradient [N] and Hessian [N/m] of the energy of length by the nodes of a block. The Hessian has what a
+// triangle resists by along principal axes u that pull, (m . u)^2 F u (F u)^T, and a small share of the rest; m are the
+// slopes of the node's corner.
 template <class T>
 INLINE Model<T> length_model(const T* x, int64_t block, const SwingRows<T>& rows, T young, const T* bound) {
   const Row<T> zero = row_of(T(0)), one = row_of(T(1)), little = row_of(T(LEAST_STRAIN));
@@ -169,7 +170,7 @@ INLINE Model<T> length_model(const T* x, int64_t block, const SwingRows<T>& rows
     Points<T> under = rows3_at(bound + 6 * LANES * row + 3 * LANES) - Points<T>{e.pp, e.tt, e.pt};
     Principal<T> high = principal<T>({over.x, over.y, over.z}), low = principal<T>({under.x, under.y, under.z});
     Positive<T> pull = positive(high), push = positive(low);
-    // One division for three: 1 / a = b c / (a b c).
+    // One division in place of three: 1 / a = b c / (a b c).
     Row<T> a = most<T>(high.half, little), b = most<T>(low.half, little), c = most<T>(push.mean, little);
     Row<T> per = one / (a * b * c);
     // Twice the axis of the first principal value: cosine and sine of twice its angle.
@@ -204,16 +205,16 @@ INLINE Model<T> length_model(const T* x, int64_t block, const SwingRows<T>& rows
 constexpr int TARGET = 0, SPRING = 3 * LANES, SAMPLE = 4 * LANES, AXIS = 7 * LANES, TOP = 10 * LANES;
 constexpr int WITHIN = 11 * LANES, STIFF = 12 * LANES, PLANE = 13 * LANES, HELD = 21 * LANES;
 
-// The samples of the skin (S, 8), and for each node (N,) the one below still cloth and the one touched now, how deep
-// [m] below the gap still cloth is, and the planes (N, 2, 4) of write_node_planes.
+// The ground of the nodes: the samples of the skin (S, 8); for each node (N,) the sample below still cloth and the one
+// touched now; how deep [m] below the gap still cloth is; and the planes (N, 2, 4) of write_node_planes.
 template <class T> struct Ground {
   const T* samples;
   const int32_t *still, *touched;
   const T *deep, *planes;
 };
 
-// Writes what holds the nodes that move, HELD numbers a block: springs [N/m] (N,) to their targets [m] (N, 3), and the
-// ground. Returns whether any has a plane.
+// Writes to held what holds the nodes that may move, HELD numbers a block: springs [N/m] (N,) to their targets [m] (N,
+// 3), and the ground. Returns whether any node has a plane.
 template <class T>
 DEVICE bool lay_held(const T* target, const T* spring, const Ground<T>& ground, const SwingMesh<T>& mesh, T* held) {
   int beside = 0;
@@ -240,8 +241,8 @@ DEVICE bool lay_held(const T* target, const T* spring, const Ground<T>& ground, 
   return most_of_all(beside) > 0;
 }
 
-// Moves the nodes c [m] (N, 3) in place by sweeps there and back, each to its own quadratic minimum. x [m] (P, 3) are
-// the nodes at their places, held what holds them; beside: whether any has a plane.
+// Moves the nodes c [m] (N, 3) in place by sweeps there and back, each node to the minimum of its own quadratic model.
+// x [m] (P, 3) are the nodes at their places, held is that of lay_held, and beside says whether any node has a plane.
 template <class T>
 DEVICE void keep_length(T* c, T* x, const SwingRows<T>& rows, T young, const T* bound, const T* held, bool beside,
                  int64_t sweeps) {

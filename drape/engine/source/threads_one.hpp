@@ -24,7 +24,7 @@ INLINE int lane() { return group.thread % ROW_THREADS; }
 INLINE bool is_first_thread() { return true; }  // what is around a range is run once
 #endif
 
-// The numbers from first to the one before last, each taken by so many threads side by side.
+// The range of the numbers from first to the one before last; each is taken by so many threads side by side.
 struct Range {
   int64_t first, last;
   int sharing;
@@ -85,7 +85,7 @@ INLINE int64_t piece_of(int64_t block) { return block; }
 INLINE int64_t pieces_of(int64_t blocks) { return blocks; }
 
 #ifdef __CUDACC__
-// The numbers of all threads joined in one order, the same in every run.
+// Returns the numbers of all threads joined, in one order that is the same in every run.
 template <class N, class Join> INLINE N joined_of_all(N own, Join join) {
   __shared__ N part[32];
   const int warps = Group::threads() / 32;
@@ -108,7 +108,7 @@ template <class N> INLINE N sum_of_all(N own) { return own; }
 template <class N> INLINE N most_of_all(N own) { return own; }
 #endif
 
-// The sum of what visit(i) gives for the numbers below a count, in their order; room has place for as many.
+// Returns the sum of visit(i) for the numbers below a count, in their order; room has place for as many numbers.
 template <class N, class Visit> INLINE N sum_in_order(int64_t count, N* room, Visit visit) {
   for (int64_t i : each(count)) room[i] = visit(i);
   N sum = 0;
@@ -144,8 +144,8 @@ INLINE void raise_to(float* number, float to) { *number = to > *number ? to : *n
 INLINE void lower_key(uint64_t* key, uint64_t to) { *key = to < *key ? to : *key; }
 #endif
 
-// The lowest of the values below a limit that threads offer, and who offered it: of equal ones the first. A key has the
-// value's bits, turned so that they rise with it, and behind them the number of who offers it, from 1 on.
+// The lowest of the values below a limit that threads offer, and who offered it; among equal ones the first. A key has
+// the bits of the value, changed so that they rise with it, and behind them the number of who offers it, from 1 on.
 template <class N> struct Lowest;
 template <> struct Lowest<float> {
   uint64_t key;
@@ -170,8 +170,8 @@ template <> struct Lowest<float> {
   INLINE_MEMBER int32_t who() const { return int32_t(uint32_t(key)) - 1; }  // -1: nobody
 };
 
-// Collects what visit(i, to, room) finds for the numbers below a count, in their order, and returns how much that is,
-// most at most. visit tells how many it finds, and writes as many of these as there is room for.
+// Collects the results of visit(i, to, room) for the numbers below a count, in their order, at most `most` of them, and
+// returns how many there are. visit returns how many it has, and writes as many of these as there is room for.
 template <class N, class Visit> INLINE int64_t collect(int64_t count, N* found, int64_t most, Visit visit) {
   const int threads = thread_count();
   const int64_t share = (count + threads - 1) / threads;
@@ -190,7 +190,7 @@ template <class N, class Visit> INLINE int64_t collect(int64_t count, N* found, 
   return parts[threads] < most ? parts[threads] : most;
 }
 
-// Replaces counts (n + 1,) by what comes before each, the last one by all.
+// Replaces counts (n + 1,) by the sum of those before each; the last one becomes the sum of all.
 INLINE void sum_up(int32_t* counts, int64_t n) {
   const int threads = thread_count();
   const int64_t share = (n + threads - 1) / threads;

@@ -25,7 +25,7 @@ constexpr int TILE_INPUTS = 32, TILE_GROUP = 32;  // inputs of a tile; outputs t
 
 typedef uint32_t Words __attribute__((ext_vector_type(16)));
 
-// The upper half nearest to each number, of two the even one.
+// Returns the upper half (bfloat16) nearest to each number, of two equally near the even one.
 INLINE Words upper_half(Row<float> row) {
   Words bits;
   __builtin_memcpy(&bits, &row, sizeof bits);
@@ -37,7 +37,8 @@ INLINE Row<float> as_numbers(Words words) {
   return row;
 }
 
-// Writes inputs as tiles: of each block and each TILE_INPUTS, filled up with zeros, the halves and what these lack.
+// Writes inputs as tiles, those of each block and each TILE_INPUTS, filled up with zeros: the upper halves of the
+// numbers, and the rests.
 WITH_TILES static inline void split_inputs(const Rows<float>& inputs, int64_t blocks, int64_t count, int64_t steps,
     uint32_t* given) {
   for (int64_t block = 0; block < blocks; ++block) {
@@ -54,7 +55,7 @@ WITH_TILES static inline void split_inputs(const Rows<float>& inputs, int64_t bl
   }
 }
 
-// Writes a group's outputs of a block, whose sums are the tiles at sums and two behind it.
+// Writes a group's outputs of a block from its sums, which are the tiles at sums and two tiles behind it.
 INLINE void finish_tiles(const Layer<float>& layer, const Rows<float>& added, const Rows<float>& outputs, int64_t block,
     int64_t n, const float* sums) {
   const int64_t last = layer.bias.count - n < TILE_GROUP ? layer.bias.count - n : TILE_GROUP;
@@ -65,7 +66,7 @@ INLINE void finish_tiles(const Layer<float>& layer, const Rows<float>& added, co
   }
 }
 
-// Writes the sums of a group's outputs of one block of inputs, or of TWO, to sums: four tiles, outputs by outputs,
+// Writes the sums of a group's outputs for one block of inputs, or for TWO, to sums: four tiles, outputs by outputs,
 // those of the second block behind those of the first.
 template <bool TWO> WITH_TILES static void sum_tiles(const uint32_t* weight, const uint32_t* x, int64_t steps,
     float* sums) {

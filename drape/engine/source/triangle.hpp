@@ -2,8 +2,8 @@
 #pragma once
 #include "vectors.hpp"
 
-// Its barycentric coordinates in the triangle a, b, c, nearest to p (Ericson 2005, "Real-Time Collision Detection",
-// 5.1.5).
+// Returns the barycentric coordinates of the point of the triangle a, b, c that is nearest to p (Ericson 2005,
+// "Real-Time Collision Detection", 5.1.5).
 template <class T>
 INLINE Vector<T> weights_in_triangle(Vector<T> p, Vector<T> a, Vector<T> b, Vector<T> c) {
   const Vector<T> ab = b - a, ac = c - a, ap = p - a, bp = p - b, cp = p - c;

@@ -21,13 +21,13 @@ template <class T> INLINE Turns<T> unit_turns(Turns<T> q) {
   return {per * q.w, scaled(per, q.v)};
 }
 
-// sum + share q, with the sign of q that is nearer to own.
+// Returns sum + share q, with the sign of q that is nearer to own.
 template <class T> INLINE Turns<T> joined(Turns<T> sum, Turns<T> own, Row<T> share, Turns<T> q) {
   share = where<T>(own.w * q.w + dot(own.v, q.v) < row_of(T(0)), -share, share);
   return {sum.w + share * q.w, plus(sum.v, share, q.v)};
 }
 
-// Turns (P, 4) lie in memory one after the other.
+// Returns turns (P, 4), which lie one after the other in memory, by index.
 template <class T> INLINE Turns<T> turns_at(const T* turns, const int32_t* index) {
   FourRows<T> t = fours_at(turns, index, 4);
   return {t.a, {t.b, t.c, t.d}};
@@ -38,8 +38,8 @@ template <class T> INLINE Turns<T> turns_in(const T* turns) {
 }
 template <class T> INLINE void put_turns(T* turns, Turns<T> q) { put_fours(turns, {q.w, q.v.x, q.v.y, q.v.z}); }
 
-// The turns from axes then to axes now; none where either are zero. Of the four squares that make a quaternion the
-// largest is 1 at least.
+// Returns the turns (quaternions) from the axes then to the axes now; the identity where either are zero. Of the four
+// squares that make a quaternion the largest is at least 1.
 template <class T> INLINE Turns<T> turns_between(const AxesOf<T>& then, const AxesOf<T>& now) {
   Points<T> x = plus(plus(scaled(now.n.x, then.n), now.e.x, then.e), now.b.x, then.b);  // a row of Q
   Points<T> y = plus(plus(scaled(now.n.y, then.n), now.e.y, then.e), now.b.y, then.b);
@@ -62,8 +62,8 @@ template <class T> INLINE Turns<T> turns_between(const AxesOf<T>& then, const Ax
   return unit_turns(q);
 }
 
-// Lets each of the turns (P, 4) go over to the mean of its own and its neighbours', each of which counts once for every
-// triangle that they share, so many times.
+// Replaces each of the turns (P, 4), so many times, by the mean of its own and its neighbours', each of which counts
+// once for every triangle that they share.
 template <class T> DEVICE void smooth_turns(T* turns, const Sheet<T>& sheet, int passes, Scratch& scratch) {
   const int64_t mark = scratch.used, count = sheet.fan_start.count - 1;
   T* before = scratch.take<T>(4 * LANES * count);
@@ -80,7 +80,7 @@ template <class T> DEVICE void smooth_turns(T* turns, const Sheet<T>& sheet, int
   scratch.used = mark;
 }
 
-// Writes the turns (P, 4) from a surface with the frames then to one with the frames now, and lets them go over.
+// Writes the turns (P, 4) from a surface with the frames then to one with the frames now, smoothed so many times.
 template <class T>
 DEVICE void surface_turns(const T* then, const T* now, const Sheet<T>& sheet, int passes, T* turns, Scratch& scratch) {
   for (int64_t block : each_block(sheet.fan_start.count - 1))
@@ -95,8 +95,8 @@ template <class T> INLINE Matrix<T> matrix_of(Turns<T> q) {
   return {turned_by<T>(q, {one, zero, zero}), turned_by<T>(q, {zero, one, zero}), turned_by<T>(q, {zero, zero, one})};
 }
 
-// Writes what the nodes held carry along to their rows of a table (N, 16) by index: a share of Q - 1 and of
-// c - c' - (Q - 1) c', four columns of four, for turns Q and nodes that came from c' to c.
+// Writes to their rows of a table (N, 16), by index, how nodes carry cloth along: a share of Q - 1 and of c - c' - (Q -
+// 1) c', four columns of four numbers, for turns Q and nodes that went from c' to c.
 template <class T>
 INLINE void put_nodes(T* table, const int32_t* index, Matrix<T> q, Points<T> from, Points<T> to, T share) {
   const Row<T> one = row_of(T(1));
@@ -114,10 +114,11 @@ INLINE void put_nodes(T* table, const int32_t* index, Matrix<T> q, Points<T> fro
   }
 }
 
-// Where a point is after its SHARED nodes of a table carried it, by weights; stride: from one of them to the next.
+// Returns where a point is after SHARED nodes of a table have carried it, by weights; stride is the distance from one
+// of them to the next.
 template <class T>
 INLINE Vector<T> carried_by(const T* table, const int32_t* node, const T* weight, int stride, Vector<T> p) {
-  // Two sums, so that none waits for the one before.
+  // There are two sums, so that neither waits for the other.
   Moves<T> one = weight[0] * moves_at(table + LANES * node[0]);
   Moves<T> two = weight[stride] * moves_at(table + LANES * node[stride]);
   for (int n = 2; n < SHARED; n += 2) {

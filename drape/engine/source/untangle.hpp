@@ -51,8 +51,8 @@ template <class T> INLINE void lay_triangles(const T* x, const int32_t* corner, 
   put3(to + HIGH, Points<T>{most<T>(high.x, r.x), most<T>(high.y, r.y), most<T>(high.z, r.z)});
 }
 
-// Below zero where the corners of a row of triangles are on both sides of the plane of a triangle, at a height along
-// its normal n, and their boxes overlap that one's.
+// Returns for each lane a number below zero where the corners of a triangle lie on both sides of a plane at a height
+// along the normal n of another triangle, and the boxes of both overlap.
 template <class T>
 INLINE Row<T> parting(Vector<T> n, T height, Vector<T> low, Vector<T> high, const Points<T> (&corner)[3],
                       Points<T> lower, Points<T> higher) {
@@ -65,7 +65,7 @@ INLINE Row<T> parting(Vector<T> n, T height, Vector<T> low, Vector<T> high, cons
 }
 
 #ifndef ONE_LANE
-// The triangles of a cluster whose box reaches box b.
+// Returns the bits of the triangles of a cluster whose box reaches box b.
 template <class T> INLINE uint32_t reach_box(const T* own, const T* boxes, int64_t b) {
   const T* box = boxes + BOX_ROWS * (b / LANES) + b % LANES;
   Points<T> low = rows3_at(own + LOW), high = rows3_at(own + HIGH);
@@ -75,8 +75,8 @@ template <class T> INLINE uint32_t reach_box(const T* own, const T* boxes, int64
   return ~lanes_of<T>(most<T>(most<T>(x, y), z) > row_of(T(0))) & 0xFFFFu;
 }
 
-// The triangles of the other cluster that have corners on both sides of the plane of the own triangle i and whose box
-// overlaps that one's.
+// Returns the bits of the triangles of the other cluster that have corners on both sides of the plane of the own
+// triangle i and whose box overlaps that one's.
 template <class T> INLINE uint32_t have_sides(const T* own, int i, const T* other) {
   const Points<T> corner[3] = {rows3_at(other), rows3_at(other + 3 * LANES), rows3_at(other + 6 * LANES)};
   const Row<T> found = parting<T>(lane3(own + NORMAL, i), own[HEIGHT + i], lane3(own + LOW, i), lane3(own + HIGH, i),
@@ -85,7 +85,7 @@ template <class T> INLINE uint32_t have_sides(const T* own, int i, const T* othe
 }
 #endif
 
-// Whether the plane of triangle j of the other cluster has corners of triangle i on both sides.
+// Returns whether triangle i of the own cluster has corners on both sides of the plane of triangle j of the other.
 template <class T> INLINE bool is_parted(const T* own, int i, const T* other, int j) {
   const Vector<T> p = lane3(other, j), n = lane3(other + NORMAL, j);
   const T a = dot(n, lane3(own, i) - p), b = dot(n, lane3(own + 3 * LANES, i) - p);
@@ -93,8 +93,9 @@ template <class T> INLINE bool is_parted(const T* own, int i, const T* other, in
   return less<T>(less<T>(a, b), c) < 0 && more<T>(more<T>(a, b), c) > 0;
 }
 
-// How far [m] a step goes at most where the network moved by moved_m [m]: no farther than that, or cloth on a body that
-// stands still would not come to rest; but for LEAST_M, or cloth would crumple through itself there.
+// Returns how far [m] a step of untangling goes at most where the network has moved by moved_m [m]: no farther than
+// that, or cloth on a body that stands still would not come to rest, but LEAST_M at least, or cloth would crumple
+// through itself there.
 INLINE double farthest_way(double moved_m) { return less<double>(WAY_M, more<double>(moved_m, LEAST_M)); }
 
 struct Threes { int32_t of[3]; };
@@ -113,8 +114,8 @@ INLINE bool share_a_corner(Threes a, Threes b) {
 struct Pair { int32_t first, second; };  // triangles: cluster times LANES plus lane
 
 #ifndef ONE_LANE
-// Writes the pairs of triangles of the clusters chosen (n,), in rising order, that share no corner and may cross: each
-// has corners on both sides of the other one, and their boxes overlap. Returns their number, MOST_PAIRS at most.
+// Writes the pairs of triangles of the clusters chosen (n,), which rise, that share no corner and may cross: each has
+// corners on both sides of the other one, and their boxes overlap. Returns their number, MOST_PAIRS at most.
 template <class T>
 DEVICE int64_t crossing(const T* x, const Tangles<T>& tangles, const int32_t* chosen, int64_t count, Pair* pairs,
                         Scratch& scratch) {
@@ -161,14 +162,14 @@ DEVICE int64_t crossing(const T* x, const Tangles<T>& tangles, const int32_t* ch
 #else
 #include "boxes_one.hpp"
 
-// Whether two clusters share a corner.
+// Returns whether two clusters share a corner.
 template <class T> INLINE bool are_beside(const Tangles<T>& tangles, int32_t a, int32_t b) {
   bool found = false;
   for (int64_t entry = tangles.start[a]; entry < tangles.start[a + 1]; ++entry) found |= tangles.beside[entry] == b;
   return found;
 }
 
-// Whether triangle i of the cluster own and triangle j of the other may cross.
+// Returns whether triangle i of the cluster own and triangle j of the other may cross.
 template <class T>
 INLINE bool may_cross(const T* own, int i, int32_t p, const T* other, int j, int32_t q, const Tangles<T>& tangles) {
   const Points<T> corner[3] = {lane3(other, j), lane3(other + 3 * LANES, j), lane3(other + 6 * LANES, j)};
@@ -178,7 +179,8 @@ INLINE bool may_cross(const T* own, int i, int32_t p, const T* other, int j, int
          is_parted(own, i, other, j);
 }
 
-// Whether a pair comes before another one where a processor finds them: by both clusters, then by both lanes.
+// Returns whether a pair comes before another one in the order in which a processor finds them: by both clusters, then
+// by both lanes.
 INLINE bool comes_before(Pair a, Pair b) {
   const int32_t own[4] = {a.first / LANES, a.second / LANES, a.first, a.second};
   const int32_t other[4] = {b.first / LANES, b.second / LANES, b.first, b.second};
@@ -231,8 +233,8 @@ template <class T> INLINE T turn_of(Vector<T> a, Vector<T> b, Vector<T> y, Vecto
   return dot(cross(b - a, y - a), normal);
 }
 
-// The unit vector, in the triangle that lies inward of an edge, along the plane with the normal; zero where both are
-// parallel.
+// Returns the unit vector, in the triangle that lies inward of an edge, along the plane with the normal; zero where
+// both are parallel.
 template <class T> INLINE Vector<T> run_along(Vector<T> along, Vector<T> inward, Vector<T> normal) {
   Vector<T> found = cross(normal, cross(along, inward));
   T length = root(dot(found, found));
@@ -242,7 +244,7 @@ template <class T> INLINE Vector<T> run_along(Vector<T> along, Vector<T> inward,
   return {found.x / length, found.y / length, found.z / length};
 }
 
-// Calls go(v, sign, way) for each end of edges of the triangle edged that pass through the triangle through.
+// Calls go(v, sign, way) for each end of those edges of the triangle edged that pass through the triangle through.
 template <class T, class Go>
 DEVICE void shorten(const T* x, const Tangles<T>& tangles, int64_t edged, int64_t through, Go go) {
   const Threes corner = threes(tangles.corner, edged), across = threes(tangles.across, edged);
@@ -291,7 +293,7 @@ DEVICE void add_ways(const T* x, const Tangles<T>& tangles, const Pair* pairs, i
             [&](int32_t v, T sign, Vector<T> a) { given[MOST_WAYS * n + own++] = {v, scaled(sign, a)}; });
     filled[n] = own;
   }
-  // Every thread reads all, in one order, and adds those of its own places.
+  // Every thread reads all pairs in one order, and adds those of its own places.
   const int threads = thread_count();
   for (int64_t t : each(threads))
     for (int64_t n = 0; n < 2 * found; ++n)
@@ -318,8 +320,8 @@ INLINE void add_ways(const T* x, const Tangles<T>& tangles, const Pair* pairs, i
 }
 #endif
 
-// Moves x [m] (P, 3) in place where triangles of the clusters chosen (n,) cross, by farthest [m] at most in each of
-// steps. Writes how many ways each place had in the last step to count (P,): more than none where cloth crossed.
+// Moves x [m] (P, 3) apart in place where triangles of the clusters chosen (n,) cross, by farthest [m] at most in each
+// of so many steps. Writes to count (P,) how many ways each place had in the last step: above zero where cloth crossed.
 // Returns the number of pairs.
 template <class T>
 DEVICE int64_t untangle(T* x, int64_t places, const Tangles<T>& tangles, const int32_t* chosen, int64_t number,

@@ -10,7 +10,7 @@ template <class N> struct Vector { N x, y, z; };
 template <class N> INLINE Vector<N> operator+(Vector<N> a, Vector<N> b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
 template <class N> INLINE Vector<N> operator-(Vector<N> a, Vector<N> b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
 template <class N> INLINE Vector<N> scaled(N s, Vector<N> a) { return {s * a.x, s * a.y, s * a.z}; }
-// a + s b and s a + t b: products and sums in one expression, so that they are fused.
+// Returns a + s b, and below s a + t b; products and sums are one expression, so that they are fused.
 template <class N> INLINE Vector<N> plus(Vector<N> a, N s, Vector<N> b) {
   return {a.x + s * b.x, a.y + s * b.y, a.z + s * b.z};
 }
@@ -29,22 +29,22 @@ template <class T> INLINE void put_point(T* x, int64_t v, Vector<T> a) {
 }
 template <class T> INLINE void add_point(T* x, int64_t v, Vector<T> a) { put_point(x, v, point(x, v) + a); }
 
-// The entries 00, 01, 02, 11, 12, 22.
+// A symmetric matrix by its entries 00, 01, 02, 11, 12, 22.
 template <class N> struct Symmetric { N xx, xy, xz, yy, yz, zz; };
 
-// h + s a a^T
+// Returns h + s a a^T.
 template <class N> INLINE Symmetric<N> outer(Symmetric<N> h, N s, Vector<N> a) {
   Vector<N> b = scaled(s, a);
   return {h.xx + b.x * a.x, h.xy + b.x * a.y, h.xz + b.x * a.z, h.yy + b.y * a.y, h.yz + b.y * a.z, h.zz + b.z * a.z};
 }
-// h + pp p p^T + pt (p t^T + t p^T) + tt t t^T + s 1
+// Returns h + pp p p^T + pt (p t^T + t p^T) + tt t t^T + s 1.
 template <class N>
 INLINE Symmetric<N> squares(Symmetric<N> h, N pp, N pt, N tt, Vector<N> p, Vector<N> t, N s) {
   Vector<N> a = mix(pp, p, pt, t), b = mix(pt, p, tt, t);
   return {h.xx + a.x * p.x + b.x * t.x + s, h.xy + a.x * p.y + b.x * t.y,     h.xz + a.x * p.z + b.x * t.z,
           h.yy + a.y * p.y + b.y * t.y + s, h.yz + a.y * p.z + b.y * t.z, h.zz + a.z * p.z + b.z * t.z + s};
 }
-// h^-1 g
+// Returns h^-1 g.
 template <class N> INLINE Vector<N> solved(Symmetric<N> h, Vector<N> g) {
   N a = h.yy * h.zz - h.yz * h.yz, b = h.xz * h.yz - h.xy * h.zz, c = h.xy * h.yz - h.xz * h.yy;
   N d = h.xx * h.zz - h.xz * h.xz, e = h.xy * h.xz - h.xx * h.yz, f = h.xx * h.yy - h.xy * h.xy;

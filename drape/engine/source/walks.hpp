@@ -30,7 +30,7 @@ template <class T> INLINE Skin<T> skin_of(const Array<T>& samples, const SkinGra
   return skin_of(samples.begin, samples.count / 8, graph);
 }
 
-// The walks of a row at once: in each lane a place and the sample that it is at, whose neighbours are near, a row each.
+// The walks of a row's lanes: in each a place and the sample that it is at, whose neighbours are near, a row each.
 struct Walks { int32_t vertex[WIDTH], sample[WIDTH], near[NEIGHBOURS * WIDTH]; };
 
 INLINE void look_around(Walks& walks, const int32_t* neighbour) {
@@ -48,8 +48,8 @@ template <class T> INLINE T square_to(Vector<T> point, const Skin<T>& skin, int6
   return dot(way, way);
 }
 
-// Moves the samples of all lanes on to the ones nearest to points, by so many steps at most. Returns the lanes whose
-// sample moved in the last step.
+// Moves the samples of all lanes on to those nearest to points, by at most so many steps. Returns the bits of the lanes
+// whose sample moved in the last step.
 template <class T> INLINE uint32_t walk(Points<T> points, Walks& walks, const Skin<T>& skin, int64_t steps) {
   Row<T> square = squares_to<T>(points, skin.samples, walks.sample);
   uint32_t last = 0;
@@ -97,7 +97,7 @@ template <class T> INLINE int32_t walked_along(Vector<T> point, const Skin<T>& s
                 [&](int32_t other) { return dot(skin.normal_of(other), normal) > T(ALONG); });
 }
 
-// Moves the samples own (P,) on to the ones nearest to the points x [m] (P, 3); P is a multiple of LANES.
+// Moves the samples own (P,) on to those nearest to the points x [m] (P, 3); P is a multiple of LANES.
 template <class T> DEVICE void follow(const T* x, int64_t places, const Skin<T>& skin, int32_t* own) {
   Walks walks;
   for (int64_t block : each_block((places + LANES - 1) / LANES)) {

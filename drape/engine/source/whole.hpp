@@ -20,7 +20,7 @@ constexpr double CLAMP_M = 0.02;  // a step moves no vertex farther
 #ifdef ONE_LANE
 #include "panels_one.hpp"
 #else
-// The numbers that s has in solve.
+// Returns how many numbers the room s of solve needs.
 template <class T> INLINE int64_t solve_room(const StiffnessFactor<T>& factor) {
   return 3 * (factor.place.count + LANES);
 }
@@ -62,8 +62,8 @@ template <class T> DEVICE void solve(const StiffnessFactor<T>& factor, T* y, T* 
 }
 #endif
 
-// Moves x [m] (P, 3) in place by -K^-1 gradient [N] (P, 3), scaled down to CLAMP_M. Nothing moves where a
-// number of that is not finite. q has room for V points and one number more.
+// Moves x [m] (P, 3) in place by -K^-1 gradient [N] (P, 3), scaled down to CLAMP_M. Nothing moves where a number of
+// that way is not finite. q has room for V points and one number more, s that of solve.
 template <class T> DEVICE void whole_step(T* x, const StiffnessFactor<T>& factor, const T* gradient, T* q, T* s) {
   const int64_t count = factor.place.count;
   for (int64_t i : each(count)) put_point(q, i, scaled(T(-1), point(gradient, factor.place[i])));

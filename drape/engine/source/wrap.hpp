@@ -4,9 +4,10 @@
 
 namespace wrapping {
 
-// Writes corners (V, 3) around fine (N, 3) of faces (F, 3). The first V fine vertices are the corners' own; the others are
-// placed at corner (N - V, 3) with weight (N - V, 3). In the first steps a corner goes by the sum of what is missing over
-// counted (V,), in the deep ones by its mean, in which it counts by how much it is.
+// Writes the delivered vertices corners [m] (V, 3) that lie around the fine vertices [m] (N, 3) with faces (F, 3). The
+// first V fine vertices are those of the corners; each of the others lies at the weights (N - V, 3) of three corners (N
+// - V, 3). In the first steps a corner moves by the sum of what is missing at its fine vertices over counted (V,); in
+// the deep steps by its mean, in which each counts by how much it is.
 template <class T>
 void wrap(const T* fine, int64_t fine_count, const int32_t* faces, int64_t face_count, const int32_t* corner,
           const T* weight, const T* counted, int64_t count, int64_t steps, int64_t deep, T* corners, Scratch& scratch) {

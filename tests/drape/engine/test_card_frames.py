@@ -1,4 +1,4 @@
-"""A card's memory: records that come back as they went, a pool that loses nothing, and what is refused in words."""
+"""A card's memory: records that point to their arrays there, a pool that loses nothing, and refusals in words."""
 
 from __future__ import annotations
 
@@ -21,13 +21,17 @@ def memory(rng: np.random.Generator, places: int = 160, fine: int = 800) -> Reco
     return record
 
 
-def test_a_memory_that_went_to_a_card_comes_back_bit_by_bit(rng: np.random.Generator):
-    pool, record = Pool(paper_card(), 1 << 20), memory(rng)
+def test_the_words_of_a_record_on_a_card_point_to_the_bits_of_its_arrays(rng: np.random.Generator):
+    pool, blocks = Pool(paper_card(), 1 << 20), [rng.standard_normal((4, 160, 3)), rng.integers(0, 9, (2, 160))]
+    record = Record.of_rows(blocks, 3, 0.5)
     there = CardRecord(pool, record)
-    for found, array in zip(there.arrays(), record.arrays, strict=True):
-        assert found.tobytes() == array.tobytes() and found.shape == array.shape
-    again = CardRecord(pool, Record.of_rows(there.arrays(), 3, 0.5))  # handed over, and taken up elsewhere
-    assert [a.tobytes() for a in again.arrays()] == [a.tobytes() for a in record.arrays]
+    piece = np.empty(there.flat.size, np.uint8)
+    pool.card.read(there.address, piece)
+    words, rows = piece[: record.words.nbytes].view(np.uint64), [row for block in blocks for row in block]
+    for (address, size), row in zip(words[: 2 * len(rows)].reshape(-1, 2).tolist(), rows, strict=True):
+        begin = address - there.address
+        assert size == row.size and piece[begin : begin + row.nbytes].tobytes() == row.tobytes()
+    assert words[2 * len(rows) :].tobytes() == record.words[2 * len(rows) :].tobytes()
 
 
 def test_idle_streams_cost_what_the_pool_gives_them(rng: np.random.Generator):

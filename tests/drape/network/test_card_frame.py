@@ -152,7 +152,7 @@ class Streams:
         stream.pose(poses[0], 0.0)
         self.worn: FrameOutfit = plan.kept["worn"]
         (network,) = (stage for stage in plan.stages if isinstance(stage, Network))
-        feed, place = network.posed_by(np.zeros(runtime.body.shape_count))
+        feed, place = network.feed_of(np.zeros(runtime.body.shape_count))
         box = np.concatenate([[0.0, 0.2, 0.3], np.eye(3).reshape(-1), [0.3, 0.05, 0.05], [0.0]])[None]
         self._moments = [
             [Moment(feed, np.ascontiguousarray(poses[7 * k + i]), 0.0, place + 0.01 * i, box if k else box[:0])

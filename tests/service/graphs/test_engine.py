@@ -187,7 +187,7 @@ def test_a_manifest_with_other_tensors_is_refused_by_name(folder: Path):
 def test_features_of_another_length_are_refused(folder: Path):
     garment = tube_garment(load_body())
     with pytest.raises(ArtifactError, match="patch_features: expected 166 numbers"):
-        Engine(folder).first(dataclasses.replace(garment, patch_features=garment.patch_features[:, :5]))
+        Engine(folder).encode(dataclasses.replace(garment, patch_features=garment.patch_features[:, :5]))
 
 
 def test_passes_that_cannot_be_chosen_are_refused(folder: Path):
@@ -303,7 +303,7 @@ def test_a_folder_without_shared_weights_gives_the_same_bits(weights_folder: Pat
     alone, shared = (Engine(folder, compiled=False) for folder in (weights_folder, MODELS_DIR / "onefit"))
     assert load_manifest(weights_folder).weights is None
     shirt = garment("tank")
-    same([alone.first(shirt)], [shared.first(shirt)])
+    same([alone.encode(shirt)], [shared.encode(shirt)])
     same(jets(alone), jets(shared))
 
 

@@ -81,10 +81,10 @@ def test_no_frame_waits_while_a_garment_is_packed(bodies):
 
 def test_no_frame_waits_while_a_fabric_is_encoded(bodies, monkeypatch: pytest.MonkeyPatch):
     packer = make_packer(compiled=True)
-    encode = packer._engine.first
+    encode = packer._engine.encode
 
     def dress(hold: Callable[[], None]) -> str:
-        monkeypatch.setattr(packer._engine, "first", lambda *asked: (hold(), encode(*asked))[1])
+        monkeypatch.setattr(packer._engine, "encode", lambda *asked: (hold(), encode(*asked))[1])
         return packer.dressed("tank", fabric("denim"))
 
     waits_not(packer, bodies, dress)

@@ -1,2 +1,5 @@
-/** The engine that makes folds, compiled; rejects where a page may not compile, or without vector instructions. */
+/**
+ * The engine that computes folds, compiled. Rejects where a page may not compile WebAssembly, or the browser has no
+ * vector instructions.
+ */
 export function compiled(): Promise<WebAssembly.Module>;

@@ -1,2 +1,2 @@
-/** A worker that drapes without a service: see `LocalAccess.worker`. */
+/** The script of a worker that drapes without a service: see `LocalAccess.worker`. It exports nothing. */
 export {};

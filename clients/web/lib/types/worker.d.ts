@@ -1,2 +1,2 @@
-// The script of a worker: it is imported there, once, and has nothing to call.
+/** The script of a worker that decodes frames: see `Access.worker`. It exports nothing. */
 export {};
