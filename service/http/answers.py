@@ -72,7 +72,7 @@ def json_answer(
     document: Mapping[str, object], sliced_thread: SlicedThread, headers: Mapping[str, str] | None = None
 ) -> StreamingResponse:
     """Returns the answer that sends ``document`` as JSON; arrays in it become lists."""
-    return StreamingResponse(sliced_thread.each(json_pieces(document)), media_type=JSON, headers=headers)
+    return StreamingResponse(sliced_thread.run_pieces(json_pieces(document)), media_type=JSON, headers=headers)
 
 
 def binary_answer(
@@ -83,7 +83,7 @@ def binary_answer(
         return Response(b"".join([*number_bytes(array), tail]), media_type=BINARY, headers={**headers})
     headers = {**headers, "Content-Length": str(4 * array.size + len(tail))}
     pieces = itertools.chain(number_bytes(array), (tail,))
-    return StreamingResponse(sliced_thread.each(pieces), media_type=BINARY, headers=headers)
+    return StreamingResponse(sliced_thread.run_pieces(pieces), media_type=BINARY, headers=headers)
 
 
 def number_bytes(array: np.ndarray) -> Iterator[bytes]:
@@ -97,7 +97,7 @@ def file_answer(
     """Returns the answer that sends ``file``, of which ``head`` is the beginning."""
     headers = {**headers, "Content-Length": str(len(head) + file.binary_bytes)}
     pieces = itertools.chain((head,), file.pieces())
-    return StreamingResponse(sliced_thread.each(pieces), media_type=GLB, headers=headers)
+    return StreamingResponse(sliced_thread.run_pieces(pieces), media_type=GLB, headers=headers)
 
 
 def messages_answer(
@@ -108,7 +108,7 @@ def messages_answer(
     count = max(1, PIECE_BYTES * len(messages) // max(size, 1))
     pieces = (b"".join(messages[start : start + count]) for start in range(0, len(messages), count))
     headers = {**headers, "Content-Length": str(size)}
-    return StreamingResponse(sliced_thread.each(pieces), media_type=BINARY, headers=headers)
+    return StreamingResponse(sliced_thread.run_pieces(pieces), media_type=BINARY, headers=headers)
 
 
 def json_pieces(document: Mapping[str, object]) -> Iterator[bytes]:

@@ -178,7 +178,7 @@ async def _pieces(job: RequestedClip, state: State, token: str, kind: str) -> As
                     placed = placed.counted_from(first_root)
                 tail += [placed.tail] if placed.tail else []
             pieces = iter(part.messages) if placed is None else number_bytes(placed.vertices)
-            async for piece in state.sliced_thread.each(pieces):
+            async for piece in state.sliced_thread.run_pieces(pieces):
                 yield piece
         for piece in tail:
             yield piece

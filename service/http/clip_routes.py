@@ -103,13 +103,13 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     state.check_slot()  # before anything is read
     asked, clip, turns, told_where = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state, client)
     if asked.tier == EXACT:
-        job = exact_clips.exact_job_info(await exact_clips.submitted(asked, clip, state, client))
+        job = exact_clips.exact_job_info(await exact_clips.submit_clip(asked, clip, state, client))
         where = {"Location": f"/jobs/{job.id}"}
         return Response(job.model_dump_json(), status_code=202, media_type=JSON, headers=where)
     kind = choose(request.headers.get("accept"), _offered(asked))
     check_rig(asked, kind)
     check_package(kind)
-    scene = await state.worn(asked, client)
+    scene = await state.requested_scene(asked, client)
     plan = state.runtime.plan(scene, asked, messages=asked.geometry == "jets")
     if asked.past is not None:
         clip = state.continuations.get(asked.past, client.name).followed_by(plan, clip, asked.fps)
@@ -142,7 +142,7 @@ async def exact_clip(job_id: str, request: Request, state: StateHere, client: Cl
     kind = choose(request.headers.get("accept"), FILES)
     check_package(kind)
     with state.access.using(client, "clips"), state.slot():
-        job, draped, headers = await exact_clips.finished(stored, state, client)
+        job, draped, headers = await exact_clips.finished_clip(stored, state, client)
         check_clip_size(job, kind, state.runtime.settings)
         return await _clip_answer(job, draped, kind, headers, state)
 
@@ -170,13 +170,15 @@ async def _clip_answer(job: RequestedClip, draped: Batch, kind: str, headers: di
         return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
     if kind == PC2:
         pieces = await apart(point_cache, placed)
-        return StreamingResponse(state.sliced_thread.each(pieces), media_type=kind, headers=placed.headers | headers)
+        return StreamingResponse(
+            state.sliced_thread.run_pieces(pieces), media_type=kind, headers=placed.headers | headers
+        )
     if kind in (USDA, USDZ, VAT):
         layers, point = await apart(move_garments, scene, placed)
         headers = placed.headers | headers
         if kind == USDA:
             pieces = usda_pieces(layers, asked.fps, point=point)
-            return StreamingResponse(state.sliced_thread.each(pieces), media_type=kind, headers=headers)
+            return StreamingResponse(state.sliced_thread.run_pieces(pieces), media_type=kind, headers=headers)
         return Response(await state.runtime.call_apart(pack_scene, layers, point, asked.fps, kind), 200, headers, kind)
     worn = layer_list(scene) if isinstance(scene, Outfit) else None
     return await _vertices_answer(placed, asked.fps, kind, state, headers=headers, worn=worn)

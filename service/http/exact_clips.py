@@ -54,10 +54,10 @@ def _value(asked: schemas.ClipOptions, name: str) -> Any:
     return getattr(asked.advanced if name in Advanced.model_fields else asked, name)
 
 
-async def submitted(asked: schemas.ClipOptions, clip: PoseInput, state: State, client: Client) -> ExactJob:
+async def submit_clip(asked: schemas.ClipOptions, clip: PoseInput, state: State, client: Client) -> ExactJob:
     """Checks the ``clip`` that is ``asked`` for, stores the request, and returns its job."""
     check_exact(asked)
-    scene = await state.worn(asked, client)
+    scene = await state.requested_scene(asked, client)
     state.runtime.plan(scene, asked.model_copy(update=START))  # refused now rather than in the job
     (entry,) = scene.layers
     state.exact.check_place(len(clip.poses), entry.fine.vertex_count)
@@ -71,7 +71,7 @@ async def _read(message: bytes, state: State, client: Client) -> RequestedClip:
     """What ``message`` asks for; refuses (``NotFound``) a garment or an avatar that is gone."""
     text, poses, trans = unpack_clip(message)
     asked = schemas.ClipOptions.model_validate_json(text)
-    scene = await state.worn(asked, client)
+    scene = await state.requested_scene(asked, client)
     betas = shape_array(asked.betas, state.runtime.on(scene).body)
     assert trans is not None
     clip = PoseInput(poses, trans, betas, np.arange(len(poses)) / asked.fps)
@@ -79,7 +79,7 @@ async def _read(message: bytes, state: State, client: Client) -> RequestedClip:
     return RequestedClip(state.runtime.plan(scene, asked.model_copy(update=update)), clip, asked, client)
 
 
-def opener(state: State) -> Callable[[bytes, str | None], Awaitable[Work]]:
+def work_reader(state: State) -> Callable[[bytes, str | None], Awaitable[Work]]:
     """Returns a function that takes a stored request and the key that sent it, and returns the ``Work`` that it asks
     for."""
 
@@ -91,7 +91,7 @@ def opener(state: State) -> Callable[[bytes, str | None], Awaitable[Work]]:
     return opened
 
 
-async def finished(job: ExactJob, state: State, client: Client) -> tuple[RequestedClip, Batch, dict[str, str]]:
+async def finished_clip(job: ExactJob, state: State, client: Client) -> tuple[RequestedClip, Batch, dict[str, str]]:
     """Returns the request of ``job``, its finished frames, and the headers of the answer. Refuses (``Unavailable``) a
     clip that is not done."""
     if job.state != "done":

@@ -220,7 +220,7 @@ def probe_routes(lifecycle: Lifecycle, metrics: Metrics) -> APIRouter:
 
     async def probe(request: Request) -> Response:
         if request.url.path == "/metrics":
-            rendered = request.app.state.drape.sliced_thread.each(metrics.pieces())
+            rendered = request.app.state.drape.sliced_thread.run_pieces(metrics.pieces())
             return Response(b"".join([piece async for piece in rendered]), media_type=MEDIA_TYPE)
         status, kind, content = probe_answer(request.url.path, lifecycle, metrics)
         return Response(content, status, media_type=kind)

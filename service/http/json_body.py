@@ -52,7 +52,7 @@ async def check_marks(text: bytes, sliced_thread: SlicedThread, *, most_marks: i
         _counted(sum(_marks(text)), most_marks)
         return
     marks = 0
-    async for more in sliced_thread.each(_marks(text)):
+    async for more in sliced_thread.run_pieces(_marks(text)):
         marks = _counted(marks + more, most_marks)
 
 

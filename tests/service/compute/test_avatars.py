@@ -69,7 +69,7 @@ def test_what_is_done_with_avatars_in_one_service_the_other_takes_over(
     before = there.dress(entry.id, tube)
     there.follow()
     assert there.dress(entry.id, tube) is before, "nothing changed"
-    here.replaced(entry, save_wearer(replace(wearers[0], median_mm=3.0), tmp_path))
+    here.replace(entry, save_wearer(replace(wearers[0], median_mm=3.0), tmp_path))
     there.follow()
     assert there.get(entry.id, "alice").facts.fit["median_mm"] == 3.0 and there.wearer(entry.id).median_mm == 3.0
     assert not there.worn or there.dress(entry.id, tube) is not before

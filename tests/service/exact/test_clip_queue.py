@@ -238,7 +238,7 @@ def test_what_a_process_says_at_its_end_is_raised(make_settings: Callable[..., S
         monkeypatch.setenv("PYTHONPATH", str(tmp_path))
         some = np.zeros(1)
         block = FrameBlock(None, None, None, some, some, tmp_path, some, some)  # pyright: ignore[reportArgumentType]
-        asyncio.run(clips._computed(job, block))
+        asyncio.run(clips._compute(job, block))
 
     said = {"name": "disk", "expected": "room for a frame", "got": "No space left", "cure": "Make room, and ask again."}
     for kind in (Unavailable, MotionError):

@@ -239,7 +239,7 @@ def test_a_state_is_for_its_key_scene_and_minute_only(runtime: DrapeRuntime):
     def read(blob: bytes = blob, client: Client = ours, at_s: float = 1001.0, **changes: Any):
         scene = changes.get("plan", plan)
         steps, shape = runtime.steps(scene), changes.get("betas", betas)
-        return Handover(runtime, changes.get("tickets", Tickets(SECRET))).brought(
+        return Handover(runtime, changes.get("tickets", Tickets(SECRET))).read_state(
             blob, client, scene, steps, shape, now_s=at_s
         )
 
