@@ -211,4 +211,4 @@ async def _give_way(free: asyncio.Event) -> bool:
 def _here(function: Callable[..., Result], *arguments: object) -> Callable[[], Result]:
     """Returns a call of ``function(*arguments)`` in a copy of the caller's context, which says whose request it is
     for."""
-    return partial(contextvars.copy_context().run, function, *arguments)
+    return partial(contextvars.copy_context().run, partial(function, *arguments))

@@ -145,7 +145,7 @@ class Streams:
         ready = sorted(
             (s for s in self._sessions if s.ready()), key=lambda s: s.waiting.arrived_s if s.waiting else 0.0
         )
-        same = [s for s in ready if s.plan_at(self.tier) == ready[0].held_to(self.tier)]
+        same = [s for s in ready if s.plan_at(self.tier) == ready[0].plan_at(self.tier)]
         share = -(-len(same) // self._count)
         return same[: min(share, self._runtime.settings.chunk_frames)]
 

@@ -198,10 +198,10 @@ def test_streams_are_computed_beside_each_other_and_each_frame_after_the_one_bef
         stage.prepare(plan)
     alone, expected = {}, []
     for i in range(4):
-        ((message, alone),) = runtime._computed(plan, [(rest_input(i, alone), None)])
+        ((message, alone),) = runtime._compute(plan, [(rest_input(i, alone), None)])
         assert isinstance(message, bytes)
         expected.append(wire.unpack_frame(message).positions)
-    both, compute = threading.Barrier(2), runtime._computed
+    both, compute = threading.Barrier(2), runtime._compute
 
     def together(*arguments: Any) -> Any:
         both.wait(30.0)  # until the other stream's frame is computed too
