@@ -65,7 +65,8 @@ def parser(complete: object = None) -> argparse.ArgumentParser:
             "--out",
             type=Path,
             required=True,
-            help="the file to write; its name says the format: .glb, .usdz, .usdc, .usda, NAME_vat.exr, .pc2, .mdd or .npy",
+            help="the file to write, in the format of its name: .glb, .usdz, .usdc, .usda, NAME_vat.exr, .pc2, .mdd or "
+            ".npy",
         ),
         wear.add_argument(
             "--on", type=Path, metavar="FILE", help="the GLB or VRM file of a character that wears the garments"
@@ -97,8 +98,8 @@ def parser(complete: object = None) -> argparse.ArgumentParser:
     )  # fmt: skip
     wear.add_argument(
         "--joints", type=int, metavar="N",
-        help="with --on: write the character's own file with the garments skinned to N more joints each, near the drape: "
-        ".glb with the motion, or .vrm with spring bones",
+        help="with --on: write the character's own file with the garments skinned to N more joints each, which follow "
+        "the drape closely: .glb with the motion, or .vrm with spring bones",
     )  # fmt: skip
     wear.add_argument("--float32", action="store_true", help="write a GLB in float32, which makes it twice as large")
     wear.set_defaults(run=_wear)

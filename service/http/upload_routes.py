@@ -95,7 +95,7 @@ def _name_and_format(name: str | None, file_format: str | None, content_type: st
             "format",
             expected=f"one of {', '.join(MESH_NAMES)}",
             got=chosen or (f"the name {name}" if name else "nothing"),
-            cure="Export the garment as one of these, and name the format: ?name=shirt.obj, or ?format=obj.",
+            cure="Export the garment as one of these. Say which one: ?name=shirt.obj, or ?format=obj.",
         )
     if not stem:
         raise InputError("name", expected="the garment's name", got="nothing", cure="Give ?name=shirt.obj.")

@@ -157,7 +157,7 @@ def test_own_clothes_count_among_the_layers(
             me = add(avatars, replace(bare_wearer(), name="me"), tmp_path, None)
             with pytest.raises(InputError, match="expected doll, who came in doll~top, got me"):
                 avatars.dress(me.id, avatars.with_own(entry.id, None))
-            with pytest.raises(NotFound, match="clothes of its own that are cloth"):
+            with pytest.raises(NotFound, match="an avatar with garments of its own"):
                 avatars.with_own(me.id, None)
             assert [one.id for one in avatars.with_own(entry.id, scene).layers] == ["shorts", "doll~top"]
             return

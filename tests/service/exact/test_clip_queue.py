@@ -185,7 +185,7 @@ def test_a_frame_that_takes_too_long_ends_the_job_in_words(make_settings: Callab
         where = http.post("/drape", json=ASKED).headers["Location"]
         job = ended_job(http, where)
         assert job["state"] == "failed" and "frame 0" in job["problem"]["name"]
-        assert job["problem"]["cure"] == "Leave the pose out."
+        assert job["problem"]["cure"] == "Leave this frame's pose out."
         with pytest.raises(DrapeError, match=r"within 0\.05 s"), DrapeClient(url) as client:
             client.exact("tube", POSES, more={"job": where.rpartition("/")[2]})
     folder = settings.garments_dir / on_disk.FOLDER / where.rpartition("/")[2]
