@@ -45,7 +45,7 @@ class AcceptedClip:
     problem: dict[str, Any] | None = None
 
     def add_attempt(self, folder: Path) -> AcceptedClip:
-        """Returns the record with one attempt more, after it is written to ``folder``."""
+        """Adds one to ``attempts``, writes the record to ``folder`` and returns it."""
         again = replace(self, attempts=self.attempts + 1)
         again.write(folder)
         return again

@@ -125,11 +125,11 @@ class ClipOptions(DrapeOptions, WornGarments, OnAvatar, PosedOptions):
 
 
 class DrapeRequest(ClipOptions, PosedRequest):
-    """A garment, or several worn over each other, on a body in motion."""
+    """The request of POST /drape: a garment, or several worn over each other, on a body in motion."""
 
 
 class RigDrapeRequest(ClipOptions):
-    """A garment, or several worn over each other, on an avatar in poses of its own rig."""
+    """The request of POST /drape for an avatar in poses of its own rig."""
 
     avatar: Identifier = Field(description="The id of the avatar whose rig is posed.")
     rig_poses: Annotated[list[RigRows], Len(1), FIRST_ONLY] = Field(

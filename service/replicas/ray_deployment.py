@@ -114,8 +114,8 @@ class Replica:
 
 
 def surplus(streams: int, before: frozenset[str], now: frozenset[str]) -> int:
-    """Returns how many of a replica's ``streams`` should move to new replicas: the share of those that serve ``now``
-    which did not serve ``before``."""
+    """Returns how many of a replica's ``streams`` should move to new replicas: as large a share of them as new ones, in
+    ``now`` but not in ``before``, are of all replicas that serve ``now``."""
     return streams * len(now - before) // len(now)
 
 

@@ -78,8 +78,8 @@ def wanted_replicas(loads: Mapping[str, Load], deadline_s: float) -> int:
 
 
 class Policy:
-    """A policy for Ray's autoscaler: calls it with ``wanted_replicas`` of the loads that replicas report.
-    ``deadline_s`` [s] is the age above which a frame is late."""
+    """A policy of Ray's autoscaler. Called with its context, it returns ``wanted_replicas`` of the loads that running
+    replicas report. ``deadline_s`` [s] is the age above which a frame is late."""
 
     def __init__(self, deadline_s: float) -> None:
         self._deadline_s = deadline_s

@@ -70,7 +70,7 @@ class Accepted:
         sync(folder.parent)
 
     def add_attempt(self, folder: Path) -> Accepted:
-        """Returns the record with one attempt more, after it is written to ``folder``."""
+        """Adds one to ``attempts``, writes the record to ``folder`` and returns it."""
         again = replace(self, attempts=self.attempts + 1)
         again.write(folder)
         return again

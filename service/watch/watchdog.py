@@ -76,8 +76,8 @@ JOBS: set[WatchedJob] = set()
 
 
 def say_moved() -> None:
-    """Notes that the job of this thread has moved. From then on only this function does, and no longer processor
-    time."""
+    """Notes that the job of this thread has moved. From then on only calls of this function count as progress, and
+    processor time no longer does."""
     if (job := getattr(_here, "job", None)) is not None:
         job.moved_s, job.silent = time.monotonic(), False
 
