@@ -16,11 +16,12 @@ from training.config import ModelConfig
 
 STRAIN_COUNT = 3 * STRAIN_POINTS
 CLOSENESS_COUNT = 2 * STRAIN_POINTS  # of the patch's own part of the body, and of others
-SURROUNDINGS_COUNT = 3 * JOINT_COUNT + 3  # of model.patch_surroundings
+SURROUNDINGS_COUNT = 3 * JOINT_COUNT + 3  # of onefit.patch_surroundings
 
 
 def mlp(sizes: list[int], *, last_activation: bool = False, bias: bool = True) -> nn.Sequential:
-    """Linear layers of ``sizes`` with LeakyReLU between them."""
+    """Returns linear layers of the widths ``sizes`` with LeakyReLU between them, with ``last_activation`` also after
+    the last one."""
     layers: list[nn.Module] = []
     for index, (inputs, outputs) in enumerate(pairwise(sizes)):
         layers.append(nn.Linear(inputs, outputs, bias=bias))
@@ -30,7 +31,8 @@ def mlp(sizes: list[int], *, last_activation: bool = False, bias: bool = True) -
 
 
 class Standardise(nn.Module):
-    """Shifts and scales features by statistics that are set once and travel with the weights."""
+    """A layer that shifts and scales ``count`` features (..., count) and cuts them off at -5 and 5. Mean and deviation
+    are set once and are part of the model's state."""
 
     mean: Tensor
     inverse_deviation: Tensor
@@ -41,9 +43,9 @@ class Standardise(nn.Module):
         self.register_buffer("inverse_deviation", torch.ones(count))
 
     def set_from(self, samples: Tensor) -> None:
-        """Takes mean and deviation from ``samples`` (n, m), for the first m features.
+        """Sets the mean and the deviation of the first m features to those of ``samples`` (n, m).
 
-        A feature that hardly varies is shifted and not scaled; features past the first m pass as they are.
+        A feature that hardly varies is shifted and not scaled; the features after the first m pass as they are.
         """
         deviation, count = samples.std(dim=0), samples.shape[1]
         self.mean[:count] = samples.mean(dim=0)
@@ -113,9 +115,9 @@ class Decoder(nn.Module):
     def forward(
         self, body_code: Tensor, embedding: Tensor, surroundings: Tensor | None = None
     ) -> tuple[dict[str, Tensor], Tensor]:
-        """Outputs by head, and the trunk's outputs (F, K, n), which corrections read.
+        """Returns the outputs (F, K, n) of each head by name, and those of the trunk (F, K, W), which corrections read.
 
-        ``surroundings`` (F, K, 102), with the agreed base, of vector jets.
+        ``surroundings`` (F, K, 102) are needed for vector jets: ``onefit.patch_surroundings``, then the agreed base.
         """
         x = self.from_body(body_code)[:, None] + self.from_patch(embedding)[None]
         if self.from_surroundings is not None:
