@@ -226,8 +226,8 @@ def _covers(row: Row, below: Row) -> bool:
 
 def manifest_tiers(chosen: Sequence[Row], where: dict[str, Any]) -> list[Row]:
     """Returns the tiers of a manifest, fields of ``drape.stages.tiers.Tier`` by name, for the rows ``chosen`` of
-    ``tiers_of``. Their figures are those of the row and ``where``, what the machine is. Without folds the two least
-    tiers have the passes of the least one, the others all."""
+    ``tiers_of``. The figures of each are those of its row and ``where``, more figures by name. Without folds the two
+    least tiers have the passes of the least one, the others all."""
     alone, above = (row["passes"] for row in chosen[:2])
     figures = (
         "time_ratio",

@@ -103,7 +103,7 @@ def bake_avatar(out: Path, *, check: int, seed: int) -> dict[str, float]:
 
 
 def main() -> None:
-    """Runs the command line."""
+    """Runs the command line: writes ``avatars.npz`` into ``--out`` and prints figures of it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--out", type=Path, default=AVATARS_FILE.parent)
     parser.add_argument("--check", type=int, default=200, help="random phenotypes compared with anny")

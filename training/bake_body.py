@@ -332,7 +332,7 @@ def _version(package: str) -> str:
 
 
 def main() -> None:
-    """Runs the command line."""
+    """Runs the command line: writes the body and the cutting surfaces, and prints figures of the body."""
     parser = argparse.ArgumentParser(description="Bakes the default body and the garment-cutting surfaces.")
     parser.add_argument("--out", type=Path, default=BODIES_DIR, help="folder of the body (%(default)s)")
     parser.add_argument("--helpers", type=Path, default=HELPERS_FILE, help="file of the surfaces (%(default)s)")

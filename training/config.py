@@ -89,12 +89,11 @@ class ModelConfig:
 class DataConfig:
     """Data of a run. ``garments``: names of designs, or files; ``partitions``: random partitions kept of each;
     ``variants``: random neighbours of each design, drawn anew in every process, with ``variant_partitions`` each;
-    ``own_share``: chance of a named design itself; ``patch_range``: patch counts over the rule's, evenly in the
-    logarithm; ``fresh_steps``: steps after which one partition is replaced by one never seen; ``even_share``: share of
-    poses drawn evenly over kinds of poses instead of as often as they occur; ``held_out``: clips never trained on.
-    ``held_out_fabrics``: never drawn, nor what is like them; ``bias_share``: share of the variants that are cut with
-    another grain than vertical.
-    """
+    ``own_share``: chance of a named design itself; ``patch_range``: between which factors the number of patches is
+    drawn, times that of intake; ``fresh_steps``: steps after which one partition is replaced by one never seen;
+    ``even_share``: share of poses drawn evenly over kinds of poses instead of as often as they occur; ``held_out``:
+    clips never trained on. ``held_out_fabrics``: never drawn, nor what is like them; ``bias_share``: share of the
+    variants that are cut with another grain than vertical."""
 
     garments: tuple[str, ...] = ("tshirt", "longsleeve", "tank", "trousers", "shorts", "dress", "skirt")
     partitions: int = 6
@@ -121,9 +120,9 @@ class MotionConfig:
     ``window_frames``: frames whose potential is lowered; up to ``warm_up_frames`` pass through the recurrent state
     before them, the last ``memory_frames`` of them with gradients, so that what lasts is learned. ``intervals_s``:
     time between frames, one drawn per window; ``drop_share``: chance that a frame is left out; ``speeds``: clips are
-    played slower and faster between these. ``stop_share``: windows in which the body stops dead; ``sway_share``:
-    those in which the ground sways besides, with accelerations up to ``sway_m_s2``. ``random_state_share``: windows
-    that begin with a random state.
+    played slower and faster between these. ``stop_share``: share of windows in which the body stops dead;
+    ``sway_share``: of those in which the ground sways besides, with accelerations up to ``sway_m_s2``;
+    ``random_state_share``: of those that begin with a random state.
     """
 
     window_frames: int = 2
@@ -193,35 +192,37 @@ def as_published(model: ModelConfig) -> ModelConfig:
 
 
 def shipped() -> TrainConfig:
-    """Returns the run with which the shipped model began: the static drape of seven designs and neighbours of theirs,
-    95 minutes on two cores."""
+    """Returns the settings of the run with which the shipped model began: the static drape of seven designs and
+    neighbours of theirs, 95 minutes on two cores."""
     return TrainConfig(minutes=95.0)
 
 
 def smoke() -> TrainConfig:
-    """Returns a run of two minutes on two cores, for tests and for a look at the loop."""
+    """Returns the settings of a run of two minutes on two cores, for tests and for a look at the loop."""
     return TrainConfig(minutes=2.0, data=DataConfig(garments=("tshirt",), partitions=2, variants=0), warmup_steps=20)
 
 
 def paper() -> TrainConfig:
-    """Returns a run of the published network, which is a baseline."""
+    """Returns the settings of a run of the published network, which is a baseline."""
     return TrainConfig(model=as_published(ModelConfig(decoder_sizes=PAPER_DECODER, head_sizes=PAPER_HEADS)))
 
 
 def dynamic() -> TrainConfig:
-    """Returns a run that trains the recurrent encoder on top of a static model, whose weights stay as they are."""
+    """Returns the settings of a run that trains the recurrent encoder on top of a static model, whose weights stay as
+    they are."""
     return TrainConfig(model=ModelConfig(dynamic=True), batch_size=6, minutes=45.0, warmup_steps=100)
 
 
 def finetune() -> TrainConfig:
-    """Returns a run that trains a static model further on one garment: its charts agree already, and rates are low."""
+    """Returns the settings of a run that trains a static model further on one garment: its charts agree already, and
+    rates are low."""
     data = DataConfig(variants=0, own_share=1.0)
     return TrainConfig(data=data, minutes=10.0, learning_rate=3e-4, warmup_steps=50, early_agreement=1.0)
 
 
 def continuation() -> TrainConfig:
-    """Returns a run that trains a static model further on the shipped preset's garments, for smoother motion and more
-    area.
+    """Returns the settings of a run that trains a static model further on the shipped preset's garments, for smoother
+    motion and more area.
 
     Half of the steps take no pass of corrections: folds on the vertices need none of them.
     """

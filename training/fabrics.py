@@ -25,7 +25,7 @@ def stretch_share(fabric: Fabric) -> float:
 class FabricBank:
     """The fabrics to train on, without those ``held_out`` and without any like these.
 
-    Raises ``InputError`` where ``held_out`` names none of ``FABRICS``.
+    Raises ``InputError`` for a name in ``held_out`` that ``FABRICS`` does not have.
     """
 
     def __init__(self, held_out: tuple[str, ...] = ()) -> None:

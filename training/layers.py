@@ -57,7 +57,7 @@ class Standardise(nn.Module):
 
 
 class GarmentEncoder(nn.Module):
-    """Patch features (K, D) -> patch embedding (K, E): an MLP with a skip connection."""
+    """A network that computes embeddings (K, E) of patches from features (K, D): an MLP with a skip connection."""
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
@@ -74,7 +74,7 @@ class GarmentEncoder(nn.Module):
 
 
 class StaticEncoder(nn.Module):
-    """Body features (F, 226) -> static body code (F, 256): a five-layer MLP."""
+    """A network that computes the codes (F, 256) of poses from body features (F, 226): a five-layer MLP."""
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
@@ -86,7 +86,8 @@ class StaticEncoder(nn.Module):
 
 
 class Decoder(nn.Module):
-    """Body code (F, 256) and patch embedding (K, E) -> outputs (F, K, n), one head per kind of output.
+    """A network that computes outputs (F, K, n) of K patches on F bodies, one head per kind of output, from body codes
+    (F, 256) and patch embeddings (K, E).
 
     The first layer acts on the concatenation of both and of the surroundings of the posed patch;
     written as a sum of products, its garment half is computed once per garment and its body half
@@ -128,7 +129,7 @@ class Decoder(nn.Module):
 
 
 class Correction(nn.Sequential):
-    """Code, strain and body proximity of a patch -> change of its jets (F, K, 27).
+    """A network that computes changes (F, K, 27) of the jets of patches from their code, strain and body proximity.
 
     Inputs: the decoder's code of the patch, strain and force of ``training.chart_consensus``, the jets themselves, and
     closeness and force of the body proximity.

@@ -81,7 +81,7 @@ class CalmingGRU(nn.Module):
         return moved * torch.clamp(largest / torch.clamp(root_mean_square(moved), min=TINY), max=1.0)
 
     def calm(self, state: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns ``state`` (F, H) as it is made smaller in ``dt_s`` (F,) [s], and its size then (F, 1)."""
+        """Returns ``state`` (F, H) after it has decayed for ``dt_s`` (F,) [s], and its root mean square then (F, 1)."""
         before = root_mean_square(state)
         size = torch.clamp((before + self.offset) * torch.exp(-dt_s / self.decay_s)[:, None] - self.offset, min=0.0)
         return state * (size / torch.clamp(before, min=TINY)), size
@@ -113,7 +113,8 @@ def pendulums(size: int) -> Tensor:
 
 
 class DynamicEncoder(nn.Module):
-    """Motion features (F, 24, 12), state (F, H) and time step (F,) -> dynamic body code (F, 256) and the next state.
+    """A recurrent network that computes dynamic body codes (F, 256) and next states (F, H) of F bodies from their
+    motion features (F, 24, 12), states (F, H) and time steps [s] (F,).
 
     Nothing here has a bias: no motion and a zero state give a code of exactly zero, and the
     garment hangs as the static network drapes it. Codes count in deviations of the static code

@@ -71,7 +71,8 @@ def cotangent_matrix(rest: RestState, faces: np.ndarray, vertex_count: int) -> s
     """Returns the stiffness matrix K (V, V) of linear finite elements on the rest triangles: x^T K x is the integral of
     |grad x|^2.
 
-    Off the diagonal minus half the cotangents of the angles opposite the edge (Pinkall & Polthier 1993).
+    An entry off the diagonal is minus half the sum of the cotangents of the two angles opposite that edge (Pinkall &
+    Polthier 1993).
     """
     first, second = rest.edges[:, 0], rest.edges[:, 1]
     opposite = np.stack([second - first, -second, first], axis=1)  # (F, 3, 2): the side opposite each corner
