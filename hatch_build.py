@@ -18,8 +18,11 @@ TAGS = {
 
 
 class EngineHook(BuildHookInterface):
-    """Compiles before files are collected. ``DRAPE_SYSTEM`` names another system than this machine's for a wheel;
-    ``DRAPE_ENGINE=apart`` says that something else builds the engine."""
+    """The build hook that compiles the engine before the files of a wheel are collected: for this processor in an
+    editable install, else for all processors of the system ``DRAPE_SYSTEM``, by default this machine's.
+
+    With ``DRAPE_ENGINE=apart`` it compiles nothing, since something else builds the engine.
+    """
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         if self.target_name != "wheel" or os.environ.get("DRAPE_ENGINE") == "apart":
@@ -37,7 +40,7 @@ class EngineHook(BuildHookInterface):
         engine.build_system(system, folder)
         build_data["pure_python"], build_data["tag"] = False, f"py3-none-{TAGS[system]}"
         build_data["force_include"] |= {
-            str(one): f"drape/engine/libraries/{one.name}"
-            for one in folder.iterdir()
-            if one.suffix not in (".o", ".sources")
+            str(file): f"drape/engine/libraries/{file.name}"
+            for file in folder.iterdir()
+            if file.suffix not in (".o", ".sources")
         }

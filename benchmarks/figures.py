@@ -1,7 +1,7 @@
-"""Figures that README and other pages state, each made from the records that hold it.
+"""Figures that README and other pages state, each computed from the records that hold it.
 
-``BLOCKS`` makes the text of each; ``benchmarks.report`` says where it stands on a page and writes it there, so that no
-page states a figure that its record does not hold.
+``BLOCKS`` has the function that writes each; ``benchmarks.report`` puts its text on the page, so that no page states a
+figure that its record does not hold.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ NAMES = {"tshirt": "T-shirt", "dress": "dress", "trousers": "trousers"}
 
 @dataclass(frozen=True)
 class Headline:
-    """The three numbers of the default tier, with what each was measured on."""
+    """The three numbers of the default tier, gain, time of a frame and streams that a service carries, with the cores,
+    the processor time of a pose [ms], the frames a second and the goodput of these streams."""
 
     gain: float  # from skinning (0) to physics (1), mean over garments and clips
     frame_ms: float  # of one core: a stream's frame in a program of its own, pose in, message out
@@ -34,9 +35,7 @@ class Headline:
 
 
 def headline(records: Records) -> Headline:
-    """Returns the three numbers at the head of README: gain and frame time of the default tier, and the streams it
-    carries.
-    """
+    """Returns the three numbers at the head of README from the records "tradeoff", "frame" and "serving"."""
     trade, serving = records["tradeoff"], records["serving"]
     (gain,) = [row["gain"] for row in trade["means"] if row["tier"] == DEFAULT_TIER]
     streams = serving["max_clients"][f"service {DEFAULT_TIER}"]
@@ -54,7 +53,7 @@ def headline(records: Records) -> Headline:
 
 def three_numbers(records: Records) -> str:
     """Returns README's Markdown table of the three numbers, each with the machine of its record."""
-    one, trade, serving = headline(records), records["tradeoff"], records["serving"]
+    head, trade, serving = headline(records), records["tradeoff"], records["serving"]
     cases = {(row["garment"], row["fabric"], row["clip"]) for row in trade["rows"]}
     garments, fabrics, clips = ({case[axis] for case in cases} for axis in range(3))
     vertices = next(row["vertices"] for row in records["static_page"]["rows"] if row["garment"] == GARMENT)
@@ -64,18 +63,18 @@ def three_numbers(records: Records) -> str:
     )
     frame = f"of one core: a T-shirt of {vertices:,} vertices in a stream, from a pose to its message, without the wire"
     tried = max(row["clients"] for row in _streams(serving, DEFAULT_TIER))
-    most = ", the most that were tried" if one.streams == tried else ""
+    most = ", the most that were tried" if head.streams == tried else ""
     streams = (
-        f"of {one.fps:.0f} poses a second on {one.cores} cores{most}: {one.goodput_pct:.0f} % of the frames are back "
-        f"within {serving['late_ms']:.0f} ms, and a pose takes the service {one.pose_ms:.1f} ms of a core"
+        f"of {head.fps:.0f} poses a second on {head.cores} cores{most}: {head.goodput_pct:.0f} % of the frames are "
+        f"back within {serving['late_ms']:.0f} ms, and a pose takes the service {head.pose_ms:.1f} ms of a core"
     )
     on = {name: processor_and_cores(records[name]) for name in ("tradeoff", "frame", "serving")}
     table = markdown_table(
         ["", "", "", "measured on", "record"],
         [
-            ["gain", f"**{one.gain:.3f}**", gain, on["tradeoff"], "[trade](docs/records/tradeoff.md)"],
-            ["a frame", f"**{one.frame_ms:.1f} ms**", frame, on["frame"], f"[frame]({SPEED}#frame-kernels)"],
-            ["streams", f"**{one.streams}**", streams, on["serving"], f"[serving]({SPEED}#serving)"],
+            ["gain", f"**{head.gain:.3f}**", gain, on["tradeoff"], "[trade](docs/records/tradeoff.md)"],
+            ["a frame", f"**{head.frame_ms:.1f} ms**", frame, on["frame"], f"[frame]({SPEED}#frame-kernels)"],
+            ["streams", f"**{head.streams}**", streams, on["serving"], f"[serving]({SPEED}#serving)"],
         ],
     )
     gpu, best = records["latency_gpu"], max(_batches(records["latency_gpu"]), key=lambda row: row["frames_per_s"])
@@ -93,7 +92,7 @@ def tiers(records: Records) -> str:
     for row in record["means"]:
         if row["tier"] not in ("", "skinning_push", "physics"):
             cases = [case for case in record["rows"] if case["knobs"] == row["knobs"]]
-            sets = [[case["gain"] for case in cases if (case["garment"] in TRAINED) == seen] for seen in (True, False)]
+            sets = [[case["gain"] for case in cases if (case["garment"] in TRAINED) == own] for own in (True, False)]
             gains = " / ".join(f"{fmean(gains):.3f}" if gains else "-" for gains in sets)
             cost = [format(row[key], form) for key, form in columns.items()]
             rest = [f"{row['gain_p05']:.3f}", f"{row['detail_share']:.2f}", f"{row['skin_pixels_pct']:.3f}"]
@@ -105,9 +104,8 @@ def tiers(records: Records) -> str:
 
 
 def frame(records: Records) -> str:
-    """Returns a Markdown table of the processor time [ms] of each part of a stream's frame; its floor stands in
-    brackets.
-    """
+    """Returns a Markdown table of the processor time [ms] of each part of a stream's frame, with the part's floor
+    (``benchmarks.frame``) in brackets."""
     record = records["frame"]
     wholes = [row for row in record["rows"] if row["kind"] == "kernel" and row["stage"] == "frame"]
     cases = [(row["garment"], row["tier"]) for row in wholes]
@@ -129,38 +127,38 @@ def frame(records: Records) -> str:
 
 
 def threads(records: Records) -> str:
-    """Returns a Markdown table of frames a second, of two streams and of a clip, on one thread and on two."""
+    """Returns a Markdown table of the frames a second that a thread and two threads compute, of two streams and of a
+    clip."""
     record, lines = records["frame_views"], []
     rows = [row for row in record["rows"] if row["kind"] == "threads"]
     for garment, what in dict.fromkeys((row["garment"], row["what"]) for row in rows):
-        one, two = sorted((row for row in rows if (row["garment"], row["what"]) == (garment, what)), key=_threads)
-        rates = [row["frames_per_s"] for row in (one, two)]
-        told = [f"{rate:.0f}" for rate in rates] + [f"{rates[1] / rates[0]:.2f}"]
-        lines.append([f"{NAMES.get(garment, garment)}, {what}", *told])
+        pair = sorted((row for row in rows if (row["garment"], row["what"]) == (garment, what)), key=_threads)
+        one, two = (row["frames_per_s"] for row in pair)
+        lines.append([f"{NAMES.get(garment, garment)}, {what}", f"{one:.0f}", f"{two:.0f}", f"{two / one:.2f}"])
     titles = ["", "frames/s of one thread", "of two", "ratio"]
     return f"{markdown_table(titles, lines)}\n\n{measured_on(record, 'performance.md#frame-threads')}"
 
 
 def one_frame(records: Records) -> str:
-    """Returns a Markdown table of the different figures of one frame of the default tier, and what each of them is."""
-    one, serving = headline(records), records["serving"]
+    """Returns a Markdown table of all times [ms] that pages state of a frame of the default tier: what is measured, by
+    which clock, and in which record."""
+    head, serving = headline(records), records["serving"]
     (trade,) = [row for row in records["tradeoff"]["means"] if row["tier"] == DEFAULT_TIER]
     (single,) = [row for row in _streams(serving, DEFAULT_TIER) if row["clients"] == 1]
     lines = [
-        ["a T-shirt's stream in a program, one frame after the other", "processor", one.frame_ms, "frame"],
+        ["a T-shirt's stream in a program, one frame after the other", "processor", head.frame_ms, "frame"],
         ["the mean over garments and clips, which `GET /tiers` tells", "processor", trade["cpu_ms"], "tradeoff"],
-        [f"the same with pauses, {one.fps:.0f} frames a second", "wall", serving["model_ms"][DEFAULT_TIER], "serving"],
-        [f"a pose of {one.streams} streams, all of the service's process", "processor", one.pose_ms, "serving"],
+        [f"the same with pauses, {head.fps:.0f} frames a second", "wall", serving["model_ms"][DEFAULT_TIER], "serving"],
+        [f"a pose of {head.streams} streams, all of the service's process", "processor", head.pose_ms, "serving"],
         ["a pose of one stream, all of the service's process", "processor", single["cpu_ms"], "serving"],
     ]  # fmt: skip
-    told = ([what, clock, f"{ms:.1f}", f"`{source}.json`"] for what, clock, ms, source in lines)
-    return markdown_table([f"`{DEFAULT_TIER}`: what is measured", "clock", "[ms]", "record"], told)
+    rows = ([what, clock, f"{ms:.1f}", f"`{source}.json`"] for what, clock, ms, source in lines)
+    return markdown_table([f"`{DEFAULT_TIER}`: what is measured", "clock", "[ms]", "record"], rows)
 
 
 def streams(records: Records) -> str:
-    """Returns a Markdown table of streams under load, for each tier: one client, the most that are carried, and those
-    between.
-    """
+    """Returns a Markdown table of streams under load: goodput, age of frames and processor time of each tier with one
+    client, with eight and with the most that are carried, under overload, and of a still body."""
     record = records["serving"]
     lines = []
     for tier in TIER_NAMES:
@@ -189,7 +187,7 @@ def gpu_batches(records: Records) -> str:
 
 
 def views(records: Records) -> str:
-    """Returns a Markdown table of how much less a frame takes where a scene asks for less."""
+    """Returns a Markdown table of the time [ms] of a frame in full and of one of which less is asked."""
     columns: Columns = {
         "garment": ("garment", "s"), "case": ("case", "s"), "what": ("what", "s"), "full_ms": ("in full [ms]", ".1f"),
         "cpu_ms": ("so [ms]", ".2f"), "saving": ("saved", ".0%"),
@@ -200,15 +198,15 @@ def views(records: Records) -> str:
 
 
 BLOCKS: dict[str, Callable[[Records], str]] = {
-    each.__name__: each
-    for each in (
+    table.__name__: table
+    for table in (
         three_numbers, tiers, frame, threads, one_frame, streams, gpu_batches, views,
     )
 }  # fmt: skip
 
 
 def processor_and_cores(record: Record) -> str:
-    """The processor and the cores that ``record`` was measured on."""
+    """Returns the processor and the number of cores that ``record`` was measured on, as words."""
     processor, cores = record["machine"].split(", ")[:2]
     return f"{processor.replace('(R)', '').replace(' Processor', '')} ({cores})"
 
@@ -218,8 +216,8 @@ def _threads(row: Row) -> int:
 
 
 def measured_on(record: Record, table: str) -> str:
-    """The sentence on where ``record`` was measured, with a link to its ``table`` of docs/records, or to the record
-    itself where its program is gone."""
+    """Returns the sentence on where ``record`` was measured. It links to ``table`` in docs/records or, where ``table``
+    is the file of a record, to that file."""
     where = "../../benchmarks/results" if table.endswith(".json") else "../records"
     return f"Measured on {processor_and_cores(record)}: [record]({where}/{table})."
 
@@ -256,15 +254,15 @@ def _kernels(record: Record, garment: str, tier: str) -> list[Row]:
 
 def _timed(rows: Iterable[Row], belongs: Callable[[Row], bool]) -> str:
     """The time of those ``rows`` that belong together, and in brackets their floor."""
-    kept = [row for row in rows if belongs(row)]
-    assert kept, "a part of the frame that the record does not name"
-    return f"{sum(row['cpu_ms'] for row in kept):.2f} ({sum(row['floor_ms'] or 0.0 for row in kept):.2f})"
+    part = [row for row in rows if belongs(row)]
+    assert part, "a part of the frame that the record does not name"
+    return f"{sum(row['cpu_ms'] for row in part):.2f} ({sum(row['floor_ms'] or 0.0 for row in part):.2f})"
 
 
 def _rest(rows: Iterable[Row], parts: Iterable[Callable[[Row], bool]]) -> str:
     known = tuple(parts)
-    left = (row["cpu_ms"] for row in rows if row["stage"] != "frame" and not any(part(row) for part in known))
-    return f"{sum(left):.2f}"
+    others = (row["cpu_ms"] for row in rows if row["stage"] != "frame" and not any(part(row) for part in known))
+    return f"{sum(others):.2f}"
 
 
 def _batches(record: Record) -> list[Row]:

@@ -52,60 +52,62 @@ COLUMNS = {
 
 @dataclass(frozen=True, eq=False)
 class FrameBench:
-    """The runtime that all rows share, the ``poses`` (F, 24, 3) [rad] of a walk, and the frames that count."""
+    """What all streams share: the runtime, the ``poses`` (F, 24, 3) [rad] of a walk, and how many ``frames`` of each
+    are measured."""
 
     drapery: DrapeRuntime
     poses: np.ndarray
     frames: int
 
     def plan(self, garment: str, tier: str) -> Plan:
-        """The plan of a stream of ``garment`` in jersey."""
+        """Returns the plan of a stream of ``garment`` in jersey and ``tier``, with all constants computed."""
         options = DrapeOptions.model_validate({"fabric": FABRIC, "tier": tier})
         plan = self.drapery.plan(self.drapery.garments.get(garment), options, messages=True)
         self.drapery.add_missing(plan)
         return plan
 
-    def stream(self, plan: Plan, **told: Any) -> Stream:
-        """A new stream that drapes by ``plan``."""
-        return Stream(plan, self.drapery.body.shape_count, **told)
+    def stream(self, plan: Plan, **options: Any) -> Stream:
+        """Returns a new stream that drapes by ``plan``, with ``options`` of ``Stream``."""
+        return Stream(plan, self.drapery.body.shape_count, **options)
 
     def pose(self, frame: int) -> np.ndarray:
-        """The pose (24, 3) of a frame of the walk, which goes there and back."""
+        """Returns the pose (24, 3) [rad] of frame number ``frame``; the walk is played forwards and backwards."""
         turn = frame % (2 * len(self.poses) - 2)
         return self.poses[turn if turn < len(self.poses) else 2 * len(self.poses) - 2 - turn]
 
     def parts(self) -> Iterator[range]:
-        """The frames of a stream, ``PART`` by ``PART``; ``WARM`` come first and do not count."""
+        """Returns the numbers of a stream's frames in ranges of ``PART``; the first ``WARM`` are not measured."""
         last = WARM + self.frames
         return (range(first, min(last, first + PART)) for first in range(0, last, PART))
 
 
 def kernel_rows(bench: FrameBench, garment: str, tier: str) -> list[Row]:
-    """The rows of all stages and kernels of one stream, and of the whole frame."""
+    """Returns the rows of a stream of ``garment`` in ``tier``: one for each kernel of each stage, and one for the whole
+    frame (the module says what their columns are)."""
     plan, trace = bench.plan(garment, tier), Trace()
-    bare, seen = bench.stream(plan), bench.stream(plan, took=trace.took, staged=True)
+    bare, traced = bench.stream(plan), bench.stream(plan, took=trace.took, staged=True)
     for part in bench.parts():
         for frame in part:
             bare.pose(bench.pose(frame), frame / FPS)
         with replaced(trace.timed):
             for frame in part:
                 trace.begin()
-                seen.pose(bench.pose(frame), frame / FPS)
+                traced.pose(bench.pose(frame), frame / FPS)
     end = WARM + bench.frames
-    floors = _floors(seen, bench.pose(end), end / FPS)
+    floors = _floors(traced, bench.pose(end), end / FPS)
     spent = _medians(trace.frames()[WARM:])
     whole = np.sum(list(spent.values()), axis=0)
     named = {"kind": "kernel", "garment": garment, "tier": tier}
     rows = [
         {
             **named, "stage": stage, "kernel": kernel, "calls": calls, "cpu_ms": cpu, "wall_ms": wall,
-            "share": cpu / whole[1], "floor_ms": sum(found) if (found := floors.get((stage, kernel))) else None,
+            "share": cpu / whole[1], "floor_ms": sum(times) if (times := floors.get((stage, kernel))) else None,
         }
         for (stage, kernel), (calls, cpu, wall) in spent.items()
     ]  # fmt: skip
-    took = {"cpu_ms": np.median(seen.clock.cpu_ms[WARM:]), "wall_ms": np.median(seen.clock.wall_ms[WARM:])}
+    took = {"cpu_ms": np.median(traced.clock.cpu_ms[WARM:]), "wall_ms": np.median(traced.clock.wall_ms[WARM:])}
     took |= {"bare_ms": np.median(bare.clock.cpu_ms[WARM:]), "share": whole[1] / took["cpu_ms"]}
-    took |= {"floor_ms": sum(sum(found) for found in floors.values())}
+    took |= {"floor_ms": sum(sum(times) for times in floors.values())}
     return [*_together(rows), {**named, "stage": "frame", "kernel": "", **{key: float(v) for key, v in took.items()}}]
 
 
@@ -118,7 +120,7 @@ def _medians(frames: Sequence[Spent]) -> dict[tuple[str, str], np.ndarray]:
 def _floors(stream: Stream, pose: np.ndarray, time_s: float) -> dict[tuple[str, str], list[float]]:
     """The floor [ms] of every call of a kernel in the next frame of ``stream``, by stage and kernel."""
     calls: list[tuple[str, float]] = []
-    found: dict[tuple[str, str], list[float]] = {}
+    floors: dict[tuple[str, str], list[float]] = {}
 
     def weighed(name: str, kernel: Any) -> Callable[..., Any]:
         def call(*arguments: Any) -> Any:
@@ -130,35 +132,34 @@ def _floors(stream: Stream, pose: np.ndarray, time_s: float) -> dict[tuple[str, 
 
     def took(stage: str, _: float) -> None:
         for name, least_ms in calls:
-            found.setdefault((stage, name), []).append(least_ms)
+            floors.setdefault((stage, name), []).append(least_ms)
         calls.clear()
 
     stream.took = took
     with replaced(weighed):
         stream.pose(pose, time_s)
-    return found
+    return floors
 
 
 def floor_ms(moved: int, operations: int) -> float:
-    """Returns the time [ms] to move ``moved`` bytes or to do ``operations`` multiply-adds on one thread, whichever is
-    longer.
-    """
-    moving_s = moved / copied_per_s(moved, 1) if moved else 0.0
-    return 1e3 * max(moving_s, operations / multiply_adds_per_s(1) if operations else 0.0)
+    """Returns the time [ms] in which one thread moves ``moved`` bytes, or that in which it does ``operations``
+    multiply-adds, whichever is longer."""
+    moving_s = moved / copied_per_s(moved) if moved else 0.0
+    return 1e3 * max(moving_s, operations / multiply_adds_per_s() if operations else 0.0)
 
 
 def _together(rows: Sequence[Row]) -> list[Row]:
     """``rows`` with the small kernels of each stage in one, and the whole stage's rows beside each other, the dearest
     kernel first."""
-    found: list[Row] = []
+    merged: list[Row] = []
     for stage in dict.fromkeys(row["stage"] for row in rows):
         same = sorted((row for row in rows if row["stage"] == stage), key=lambda row: -row["cpu_ms"])
         small = [row for row in same if row["share"] < LEAST_SHARE and row["kernel"] != PYTHON]
-        found += [row for row in same if row not in small]
+        merged += [row for row in same if row not in small]
         if small:
             names = ("calls", "cpu_ms", "wall_ms", "share", "floor_ms")
-            found.append(small[0] | {"kernel": OTHERS} | {key: sum(row[key] for row in small) for key in names})
-    return found
+            merged.append(small[0] | {"kernel": OTHERS} | {key: sum(row[key] for row in small) for key in names})
+    return merged
 
 
 @Benchmark(
@@ -170,7 +171,8 @@ def _together(rows: Sequence[Row]) -> list[Row]:
     Option("--frames", 64, "of each stream that count", 24),
 )
 def main(run: Run) -> None:
-    """Adds to ``run`` the rows of every garment in every tier."""
+    """Adds to ``run`` the rows of every garment in every tier, and to its record the frames, the model and the rate of
+    a matrix product [GFLOP/s]."""
     options, folder = run.options, model_folder(run.options.model)
     poses = at_rate(read_motion(find_motions(options.motions or ["walk"])[0]), FPS).poses
     drapery = DrapeRuntime(Settings(model=str(folder), threads=1), body=load_body())
@@ -179,7 +181,7 @@ def main(run: Run) -> None:
         for tier in options.tiers:
             run.add(kernel_rows(bench, garment, tier))
     drapery.close()
-    run.extra |= {"frames": options.frames, "model": options.model, "gemm_gflops": 2e-9 * multiply_adds_per_s(1)}
+    run.extra |= {"frames": options.frames, "model": options.model, "gemm_gflops": 2e-9 * multiply_adds_per_s()}
 
 
 if __name__ == "__main__":

@@ -27,18 +27,19 @@ COLOURS = {"instant": "#8c8c8c", "fast": "#2a9d8f", "balanced": "#1d4e89", "accu
 
 
 def points(rows: list[Row], figure: str, garments: Callable[[str], bool]) -> list[tuple[float, float, str]]:
-    """Time, ``figure`` and tier ("" for none) of each combination of knobs, means over the ``garments``."""
-    found = []
+    """Returns, for each combination of knobs in ``rows``, the means of ``time_ratio`` and of ``figure`` over those
+    garments for whose name ``garments`` is true, and the tier that has these knobs, "" for none."""
+    means = []
     for knobs in dict.fromkeys(row["knobs"] for row in rows if row["knobs"]):
         some = [row for row in rows if row["knobs"] == knobs and garments(row["garment"])]
         time, value = (float(np.mean([row[name] for row in some])) for name in ("time_ratio", figure))
-        found.append((time, value, some[0]["tier"]))
-    return found
+        means.append((time, value, some[0]["tier"]))
+    return means
 
 
-def draw_front(pane: Axes, found: list[tuple[float, float, str]], title: str) -> None:
-    """Draws ``points`` into a pane, those of tiers by name."""
-    for time, value, tier in found:
+def draw_front(pane: Axes, means: list[tuple[float, float, str]], title: str) -> None:
+    """Draws what ``points`` returned into ``pane``: a dot each, large and with its name for a tier."""
+    for time, value, tier in means:
         pane.plot(time, value, "o", ms=9 if tier else 4, color=COLOURS.get(tier, "#c9c9c9"), zorder=3 if tier else 2)
         if tier:
             place = {"xytext": (0, 9), "textcoords": "offset points", "ha": "center", "color": COLOURS[tier]}
@@ -50,7 +51,7 @@ def draw_front(pane: Axes, found: list[tuple[float, float, str]], title: str) ->
 
 
 def main() -> None:
-    """Runs the command line: draws the front of the record's tiers and knobs."""
+    """Runs the command line: draws the record ``tradeoff.json`` as ``docs/images/tradeoff.webp``."""
     import matplotlib
 
     matplotlib.use("Agg")

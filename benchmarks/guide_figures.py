@@ -1,4 +1,4 @@
-"""Tables that guides and references state of single records, each made from its record."""
+"""Tables that guides and references show, each of a single record."""
 
 from __future__ import annotations
 
@@ -48,7 +48,8 @@ WAYS = {
 
 
 def lateness(records: Records) -> str:
-    """Returns a Markdown table of how late frames are beside other work; beside none it has the median of the runs."""
+    """Returns a Markdown table of how late frames of streams come [ms], beside each other work, and beside none in the
+    median of the runs."""
     record = records["lateness"]
     rows = [row for row in record["rows"] if row["run"] == "median" or row["beside"]]
     table = rows_table(LATE, (row | {"beside": row["beside"] or "nothing"} for row in rows))
@@ -56,17 +57,19 @@ def lateness(records: Records) -> str:
 
 
 def client_folds(records: Records) -> str:
-    """Returns a Markdown table of streams of jets that a page folds, with a row for each garment."""
+    """Returns a Markdown table of streams whose folds a page computes: bytes, times and distances of each garment."""
     return _by_garment(records, "client_folds", CLIENT)
 
 
 def static_page(records: Records) -> str:
-    """Returns a Markdown table of what a page computes without a service, with a row for each garment."""
+    """Returns a Markdown table of drapes that a page computes without a service: bytes, times and distances of each
+    garment."""
     return _by_garment(records, "static_page", LOCAL)
 
 
 def avatars(records: Records) -> str:
-    """Returns a Markdown table of how strangers' characters are fitted, and of the skin that garments show on them."""
+    """Returns a Markdown table with a row for each stranger's character: how far the body is from its surface [mm], the
+    error of poses [degrees], and the skin that garments show on it [% of pixels]."""
     lines = []
     for character, name in CHARACTERS.items():
         rows = [row for row in records["avatars"]["rows"] if row["avatar"] == character]
@@ -80,7 +83,8 @@ def avatars(records: Records) -> str:
 
 
 def proof(records: Records) -> str:
-    """Returns a Markdown table of the laboratory's tests of fabrics in the simulator, with a row for each fabric."""
+    """Returns a Markdown table with a row for each fabric: its bending lengths [mm] and drape coefficient [%] in the
+    simulator, beside theory and published values."""
     record, lines = records["fabrics"], []
     for fabric in dict.fromkeys(row["fabric"] for row in record["rows"]):
         rows = [row for row in record["rows"] if row["fabric"] == fabric]  # the coarsest mesh first
@@ -99,22 +103,21 @@ def proof(records: Records) -> str:
 
 
 def yardsticks(records: Records) -> str:
-    """Returns a Markdown table of what time and gain other programs have beside ours, of a T-shirt and of a dress."""
+    """Returns a Markdown table of the time, over the rival's, and the gain of ours and of other programs, for a T-shirt
+    and for a dress."""
     lines, columns = [], {"time_ratio": "{:.2f}", "gain": "{:.2f}"}
     for way, name in WAYS.items():
         rows = [row for row in records["yardsticks"]["rows"] if way in (row["tier"], row["knobs"])]
-        told = []
+        line = [name]
         for key, form in columns.items():
-            means = [
-                fmean(found) for found in (_values(rows, garment, key) for garment in ("tshirt", "dress")) if found
-            ]
-            told.append(" / ".join(form.format(mean) if mean < 10 else f"{mean:.0f}" for mean in means))
-        lines.append([name, *told])
+            means = [fmean(own) for own in (_values(rows, garment, key) for garment in ("tshirt", "dress")) if own]
+            line.append(" / ".join(form.format(mean) if mean < 10 else f"{mean:.0f}" for mean in means))
+        lines.append(line)
     return markdown_table(["what", "time, rival = 1: T-shirt / dress", "gain: T-shirt / dress"], lines)
 
 
 BLOCKS: dict[str, Callable[[Records], str]] = {
-    each.__name__: each for each in (lateness, client_folds, static_page, avatars, proof, yardsticks)
+    table.__name__: table for table in (lateness, client_folds, static_page, avatars, proof, yardsticks)
 }
 
 
@@ -126,9 +129,9 @@ def _by_garment(records: Records, name: str, columns: Columns) -> str:
 
 def _shown(rows: Iterable[Row]) -> str:
     """The pixels [%] that show skin in each row's clip, and in brackets those without covered faces drawn deeper."""
-    kept = list(rows)
-    drawn, as_it_is = (", ".join(f"{row[key]:.3f}" for row in kept) for key in ("skin_pixels_pct", "as_it_is_pct"))
-    return f"{drawn} ({as_it_is})"
+    rows = list(rows)
+    deeper, as_it_is = (", ".join(f"{row[key]:.3f}" for row in rows) for key in ("skin_pixels_pct", "as_it_is_pct"))
+    return f"{deeper} ({as_it_is})"
 
 
 def _values(rows: Iterable[Row], garment: str, key: str) -> list[float]:

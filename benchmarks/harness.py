@@ -44,10 +44,11 @@ AS_ALWAYS: Any = object()
 
 @dataclass(frozen=True)
 class Option:
-    """A flag, its value where it is not given, and its value under ``--quick`` where that is another.
+    """An option of a command line: its ``flag``, its value where it is not given (``default``), and its value under
+    ``--quick`` where that differs.
 
-    ``kind`` turns a word into a value; it is the type of ``default`` where that says it. A tuple takes several words,
-    and False is a switch.
+    ``kind`` turns a word into a value; without it that is the type of ``default``. An option whose default is a tuple
+    takes several words, and one whose default is False is a switch.
     """
 
     flag: str
@@ -58,7 +59,7 @@ class Option:
     choices: Collection[str] | None = None
 
     def add_to(self, parser: argparse.ArgumentParser, *, quick: bool) -> None:
-        """Declares the flag."""
+        """Adds the option to ``parser``, with the default of ``--quick`` where ``quick`` is true."""
         default = self.quick if quick and self.quick is not AS_ALWAYS else self.default
         text = self.help.replace("%", "%%")
         if self.default is False:
@@ -83,9 +84,8 @@ def inputs(
     quick_garments: tuple[str, ...] = AS_ALWAYS,
     quick_motions: tuple[str, ...] = AS_ALWAYS,
 ) -> tuple[Option, ...]:
-    """Returns the options ``--garments``, ``--motions`` and ``--model``. Without garments or motions all shipped ones
-    are taken.
-    """
+    """Returns the options ``--garments``, ``--motions`` and ``--model``. The arguments are their defaults; () stands
+    for all shipped garments or motions."""
     return (
         Option("--garments", garments, "names, files or folders", quick_garments),
         Option("--motions", motions, "names, files or folders", quick_motions),
@@ -102,10 +102,10 @@ COMMON = (
 
 @dataclass
 class Run:
-    """A benchmark that runs: its ``options``, its ``rows`` so far, and what the record holds beside them (``extra``).
+    """A benchmark that runs: its ``options``, its ``rows`` so far, and what its record holds beside them (``extra``).
 
-    ``summary`` are rows that the table has below the others, and that the record has only under ``extra``. ``notes``
-    are printed below the table. A run that ``failed`` ends with status 1.
+    ``summary`` are rows that are printed below the others and are not in the record, unless ``extra`` has them.
+    ``notes`` are printed below the table. A run that ``failed`` ends the program with status 1.
     """
 
     name: str
@@ -119,15 +119,15 @@ class Run:
 
     def add(self, rows: Iterable[Row]) -> None:
         """Adds ``rows`` and prints them."""
-        found = list(rows)
-        self.rows += found
-        print(text_table(found, self.columns), flush=True)
+        more = list(rows)
+        self.rows += more
+        print(text_table(more, self.columns), flush=True)
 
     def record(self) -> Record:
-        """The record of the run."""
-        made = {"machine": machine(), "threads": self.options.threads, "commit": commit_of_tree()}
-        told = {"command": command(self.name, self.options.words)}
-        return finite({"bench": self.name, "rows": self.rows, **self.extra, **made, **told})
+        """Returns the record of the run: name, rows, ``extra``, machine, threads, commit and command."""
+        where = {"machine": machine(), "threads": self.options.threads, "commit": commit_of_tree()}
+        how = {"command": command(self.name, self.options.words)}
+        return finite({"bench": self.name, "rows": self.rows, **self.extra, **where, **how})
 
 
 class Command:
@@ -138,7 +138,8 @@ class Command:
         self.__doc__ = measure.__doc__
 
     def parse(self, arguments: Sequence[str] | None = None) -> argparse.Namespace:
-        """The options that ``arguments`` ask for; ``words`` are the arguments themselves."""
+        """Returns the options that ``arguments`` ask for, those of the program by default, and under ``words`` the
+        arguments themselves."""
         words = list(sys.argv[1:] if arguments is None else arguments)
         quick = argparse.ArgumentParser(add_help=False)
         quick.add_argument("--quick", action="store_true", help="a small form that ends within about a minute")
@@ -170,7 +171,8 @@ class Command:
         return record
 
     def command(self) -> None:
-        """Runs the command line, and ends the program with the status of the outcome."""
+        """Runs the command line and ends the program: with status 0, with 1 or 2 after a failure or a refusal, and with
+        ``NOTHING_EXIT`` where this machine lacks what is measured."""
 
         def measured() -> None:
             try:
@@ -195,7 +197,7 @@ class Benchmark:
 
 
 def write(target: Path, record: Record) -> None:
-    """Writes ``record`` as JSON with a line for each key, and for each item of a list of objects."""
+    """Writes ``record`` to the file ``target`` as JSON, a line for each key and for each item of a list of objects."""
     parts = []
     for key, value in record.items():
         text = json.dumps(value, allow_nan=False, separators=(",", ":"))
@@ -207,7 +209,7 @@ def write(target: Path, record: Record) -> None:
 
 
 def finite(value: Any) -> Any:
-    """Returns ``value`` with None in place of NaN and infinity, which JSON cannot hold, and floats of six digits."""
+    """Returns ``value`` for JSON: None in place of NaN and infinity, floats rounded to six digits, lists for tuples."""
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -218,17 +220,16 @@ def finite(value: Any) -> Any:
 
 
 def module(bench: str) -> str:
-    """The module that ``python -m`` runs now, or the one of ``bench`` where something else runs."""
+    """Returns the name of the module of ``benchmarks`` that ``python -m`` runs now, or of ``benchmarks.BENCH`` where
+    something else runs."""
     spec = sys.modules["__main__"].__spec__
     running = spec.name if spec is not None and spec.name.startswith("benchmarks.") else f"benchmarks.{bench}"
     return running.removesuffix(".__main__")
 
 
 def command(bench: str, arguments: Sequence[str]) -> str:
-    """The command line that runs, with no folder of this machine in it.
-
-    The folder of private data stands there by the name of its variable, and another absolute path by its last part.
-    """
+    """Returns the command line of ``bench`` with ``arguments``, without folders of this machine: the folder of data is
+    written as its variable, another absolute path as its last part."""
     data, words = data_folder(), [f"python -m {module(bench)}"]
     for word in arguments:
         path = Path(word).resolve()
@@ -242,7 +243,7 @@ def command(bench: str, arguments: Sequence[str]) -> str:
 
 
 def machine() -> str:
-    """Processor model, core count, operating system and Python's version."""
+    """Returns the processor's model, the number of cores, the operating system and Python's version, as words."""
     model, info = platform.processor() or platform.machine(), Path("/proc/cpuinfo")
     if info.is_file():
         named = (line for line in info.read_text().splitlines() if line.startswith("model name"))
@@ -252,7 +253,8 @@ def machine() -> str:
 
 
 def commit_of_tree() -> str:
-    """Hash of the checked-out commit, with "+" where tracked files differ from it; "none" outside a clone."""
+    """Returns twelve digits of the hash of the commit that is checked out, with "+" where tracked files differ from it;
+    "none" outside a clone."""
     try:
         head = _git("rev-parse", "--short=12", "HEAD")
         return head + ("+" if _git("status", "--porcelain", "--untracked-files=no") else "")

@@ -54,7 +54,7 @@ COLUMNS = {
     Option("--streams", (), "numbers of streams beside which each file is sent to a service", kind=int),
 )
 def main(run: Run) -> None:
-    """Takes every file in and adds a row for each to ``run``; a shipped garment has no intake."""
+    """Adds to ``run`` a row for every file of ``--garments``, and one more for each number of ``--streams``."""
     body = load_body()
     drapery = DrapeRuntime(Settings(threads=1))
     dress = [open_garment(find_garments(["dress"])[0], body)]
@@ -69,7 +69,8 @@ def main(run: Run) -> None:
 
 
 def take_in(path: Path) -> tuple[Row, list[Garment]]:
-    """The garments in the file at ``path``, and what their intake took."""
+    """Returns a row with the processor time [s] of each stage of the intake of the file ``path``, and its garments. A
+    shipped garment has no intake and no times."""
     if path.suffix == ".npz":
         garment = open_garment(path, load_body())
         return {"garment": garment.name, "faces": len(garment.surface.faces)}, [garment]
@@ -82,9 +83,8 @@ def take_in(path: Path) -> tuple[Row, list[Garment]]:
 
 
 def upload_beside_streams(path: Path, streams: int) -> Row:
-    """Returns a row with the time that a service takes for the file at ``path`` until its garment is worn, while it
-    serves ``streams`` streams.
-    """
+    """Returns a row with the time [s] from the upload of the file ``path`` to a service until the first frame of its
+    garment, and the goodput [%] of the ``streams`` streams that it serves meanwhile."""
     walk = at_rate(read_motion(find_motions(["walk"])[0]), FPS)
 
     async def beside(url: str) -> Row:
@@ -93,15 +93,16 @@ def upload_beside_streams(path: Path, streams: int) -> Row:
         crowded = asyncio.create_task(crowd(url, walk, streams, SENT_S if streams else 0.0, begun=begun.set, **worn))
         await begun.wait()
         sent_s = await asyncio.to_thread(time_to_wear, url, path)
-        seen = await crowded
-        return {"sent_s": sent_s, **({"goodput_pct": stream_figures(seen, None)["goodput_pct"]} if streams else {})}
+        views = await crowded
+        return {"sent_s": sent_s, **({"goodput_pct": stream_figures(views, None)["goodput_pct"]} if streams else {})}
 
     with server() as at:
         return {"garment": path.stem, "streams": streams, **asyncio.run(beside(at.url))}
 
 
 def time_to_wear(url: str, path: Path) -> float:
-    """The time [s] from the upload of ``path`` to a service until the first frame of its garment."""
+    """Returns the time [s] from the upload of the file ``path`` to the service at ``url`` until the first frame of its
+    garment has come."""
     begun_s = time.perf_counter()
     with DrapeClient(url) as client:
         client.drape(client.upload_garment(path), np.zeros((1, 24, 3)))
@@ -109,7 +110,8 @@ def time_to_wear(url: str, path: Path) -> float:
 
 
 def frame_times(drapery: DrapeRuntime, garments: list[Garment], dress: list[Garment], rounds: int) -> Row:
-    """Returns a row with the processor time [ms] of a frame of ``garments``, and its ratio to that of a ``dress``.
+    """Returns a row with the processor time [ms] of a frame of ``garments``, worn together, its ratio to that of
+    ``dress``, and the numbers of vertices.
 
     Both are measured by turns, so that the machine's mood counts for neither.
     """
@@ -117,23 +119,24 @@ def frame_times(drapery: DrapeRuntime, garments: list[Garment], dress: list[Garm
     plans = [plan_of(drapery, worn, messages=True, tier="balanced") for worn in (garments, dress)]
     streams = [Stream(plan, drapery.body.shape_count) for plan in plans]
     for turn in range(rounds + WARM // PART):
-        for one in streams:
+        for stream in streams:
             for frame in range(turn * PART, (turn + 1) * PART):
-                one.pose(poses[frame % len(poses)], frame / FPS)
-    own, theirs = (float(np.median(one.clock.cpu_ms[WARM:])) for one in streams)
-    hung = [one for one in garments if one.drawn is not None]
+                stream.pose(poses[frame % len(poses)], frame / FPS)
+    own, theirs = (float(np.median(stream.clock.cpu_ms[WARM:])) for stream in streams)
+    hung = [garment for garment in garments if garment.drawn is not None]
     return {
         "garments": len(garments),
-        "drawn": sum(one.surface.vertex_count for one in garments),
-        "cloth": sum(one.vertex_count for one in garments),
-        "hang_ms": sum(hang_ms(one) for one in hung) if hung else None,
+        "drawn": sum(garment.surface.vertex_count for garment in garments),
+        "cloth": sum(garment.vertex_count for garment in garments),
+        "hang_ms": sum(map(hang_ms, hung)) if hung else None,
         "frame_ms": own,
         "over_dress": own / theirs,
     }
 
 
 def hang_ms(garment: Garment) -> float:
-    """Returns the median time [ms] in which a drawn mesh is hung on the cloth of ``garment``, for one frame."""
+    """Returns the median processor time [ms] in which the drawn mesh of ``garment`` is moved with its cloth, in one
+    frame."""
     cloth = garment.vertices[: garment.vertex_count]
     clock = Clock()
     for _ in range(50):

@@ -1,4 +1,4 @@
-"""Figures that pages state of how near a drape is to physics and how it looks, each made from its record."""
+"""Tables that pages show of how near a drape is to physics and how it looks, each of a single record."""
 
 from __future__ import annotations
 
@@ -12,26 +12,24 @@ SETS = {"trained": "garments that were trained on", "unseen": "others"}
 
 
 def quality(records: Records) -> str:
-    """Returns a Markdown table of gain, and of strain over that of physics, of the network alone and with folds, for
-    garments that were trained on and for others.
-    """
+    """Returns a Markdown table with a row for garments that were trained on and one for others: gain, and strain over
+    that of physics, of the network alone and with folds."""
     record = records["quality"]
     counts = {kind: len({row["garment"] for row in record["rows"] if row["set"] == kind}) for kind in SETS}
     lines = []
     for kind, name in SETS.items():
         rows = {row["method"]: row for row in record["summary"] if row["set"] == kind}
-        told = [f"{rows[method]['gain']:.2f}" for method in ("network", "network_push", "folds")]
+        gains = [f"{rows[method]['gain']:.2f}" for method in ("network", "network_push", "folds")]
         strain = [f"{rows[method]['edge_over_physics_pp']:.1f}" for method in ("network", "folds")]
-        lines.append([f"{counts[kind]} {name}", *told, *strain])
+        lines.append([f"{counts[kind]} {name}", *gains, *strain])
     titles = ["", "gain of the network alone", "pushed out", "with two steps of folds"]
     more = ["strain over physics, network [points]", "with folds"]
     return f"{markdown_table([*titles, *more], lines)}\n\n{measured_on(record, 'quality.md#quality')}"
 
 
 def two_steps(records: Records) -> str:
-    """Returns a Markdown table of the gain and the time of two steps of folds on all vertices, with a row for each
-    garment.
-    """
+    """Returns a Markdown table of the gain and the time [ms] of two steps of folds on all vertices, with a row for each
+    garment."""
     record, lines = records["folds"], []
     rows = [row for row in record["rows"] if row["sweeps"] == 2 and row["method"] != "skinning"]
     for garment, feels in dict.fromkeys((row["garment"], row["cloth_contact"]) for row in rows):
@@ -44,7 +42,8 @@ def two_steps(records: Records) -> str:
 
 
 def moving(records: Records) -> str:
-    """Returns a Markdown table of how streams of each tier look beside the stills of their poses."""
+    """Returns a Markdown table of how streams look beside the stills of their poses, with a row for each tier:
+    curvature, dihedral angle, crossings and strain."""
     record = records["moving"]
     columns = ("curvature", "dihedral", "crossings_worst", "strain_pct")
     by_tier: dict[str, list[str]] = {}
@@ -64,7 +63,8 @@ def moving(records: Records) -> str:
 
 
 def coarse_skin(records: Records) -> str:
-    """Returns a Markdown table of how much skin shows on coarse meshes of other makers, by how they were folded."""
+    """Returns a Markdown table of the skin that shows [% of pixels] on coarse meshes of other makers, with a row for
+    each way to fold them."""
     record, lines = records["skin_pixels"], []
     coarse = {row["garment"] for row in record["rows"] if row["method"] == "wrapped"}
     ways = {
@@ -83,7 +83,7 @@ def coarse_skin(records: Records) -> str:
 
 
 def hem_rise(records: Records) -> str:
-    """Returns a Markdown table of how far hems rise in a turn, with swing and in a simulator."""
+    """Returns a Markdown table of how far hems rise in motion [mm] without swing, with it, and in the simulator."""
     record = records["swing"]
     columns: Columns = {
         "garment": ("garment", "s"), "clip": ("clip", "s"), "method": ("method", "s"),
@@ -94,5 +94,5 @@ def hem_rise(records: Records) -> str:
 
 
 BLOCKS: dict[str, Callable[[Records], str]] = {
-    each.__name__: each for each in (quality, two_steps, moving, coarse_skin, hem_rise)
+    table.__name__: table for table in (quality, two_steps, moving, coarse_skin, hem_rise)
 }

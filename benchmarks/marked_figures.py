@@ -28,10 +28,9 @@ WAYS: dict[str, Callable[[Sequence[Any]], Any]] = {
 
 
 def fill_figures(text: str, records: Mapping[str, Record]) -> str:
-    """The page ``text`` with each of its marked figures as the ``records`` have it. A mark that finds nothing, or
-    several values where it asks for one, is a ``ValueError``.
-    """
-    return FIGURE.sub(lambda found: f"{found[1]}{_figure(found, records)}{found.groups()[-1]}", text)
+    """Returns the page ``text`` with each of its marked figures as the ``records`` have it. Raises ``ValueError`` for a
+    mark that finds nothing, or several values where it asks for one."""
+    return FIGURE.sub(lambda mark: f"{mark[1]}{_figure(mark, records)}{mark.groups()[-1]}", text)
 
 
 def _figure(mark: re.Match[str], records: Mapping[str, Record]) -> str:

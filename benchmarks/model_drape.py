@@ -28,10 +28,10 @@ FRAMES_PER_CALL = 8  # the vertex stage holds some megabytes per frame
 
 @dataclass(frozen=True, eq=False)
 class NetworkDrape:
-    """The network's drape in F poses.
+    """The network's drape in F poses: ``vertices`` [m] (F, V, 3) in the world, float64, and the posed patches.
 
-    ``vertices`` (F, V, 3) world [m] float64; ``jet`` (F, K, 27 or 45) [patch scales], ``rotation`` (F, K, 3, 3) and
-    ``centre`` (F, K, 3) [m] of the patches, relative to the root joint, which is at ``root`` (3,) in the world.
+    ``jet`` (F, K, 45) [patch scales] is the change of the patches' full rest jets, ``rotation`` (F, K, 3, 3) and
+    ``centre`` (F, K, 3) [m] are their frames, relative to the root joint, which is at ``root`` (3,) [m] in the world.
     """
 
     vertices: np.ndarray
@@ -42,10 +42,11 @@ class NetworkDrape:
 
 
 class ModelDrape:
-    """The packed graph of a model folder on the processor; garments are of the network's default fabric.
+    """The network of a model ``folder`` on the processor, as the service computes it; garments are of its default
+    fabric.
 
-    ``passes``: how many of the network's corrections run, None for all. Refuses (``ArtifactError``) a model of another
-    body and one without a packed graph, and (``InputError``) passes that the model cannot do.
+    ``passes`` of the network's corrections run, None for all. Raises ``ArtifactError`` for a model of another body and
+    for one that the service cannot compute, and ``InputError`` for passes that the model does not have.
     """
 
     def __init__(self, folder: Path, body: BodyModel, *, threads: int, passes: int | None = None) -> None:
@@ -69,20 +70,19 @@ class ModelDrape:
 
     @property
     def passes(self) -> int:
-        """The number of corrections that run; 0 if the model does not offer a choice of it."""
+        """How many corrections run; 0 if the model does not let one choose."""
         return self.engine.pass_count if self._plan.passes is None else self._plan.passes
 
     def record(self) -> dict[str, str]:
-        """Returns what a benchmark's record says of the network: what computes it, and the name and the digest of the
-        model.
-        """
+        """Returns what a benchmark's record holds of the network: "graph", what computes it ("packed" or "compiled"),
+        and "model_digest"."""
         graph = "packed" if self.engine.compiled is None else "compiled"
         return {"graph": graph, "model_digest": self.manifest.digest}
 
     def drape(self, garment: Garment, poses: np.ndarray) -> NetworkDrape:
         """Returns the drape of the subdivided mesh of ``garment`` and of its patches at ``poses`` (F, 24, 3) [rad].
 
-        The body stands still in each pose, its root in its rest place. Refuses (``ArtifactError``) numbers that are not
+        The body stands still in each pose, its root in its rest place. Raises ``ArtifactError`` where numbers are not
         finite.
         """
         results = []
@@ -107,13 +107,14 @@ class ModelDrape:
     def moving(
         self, garment: Garment, poses: np.ndarray, trans: np.ndarray, fps: float, *, motion: float = 1.0
     ) -> np.ndarray:
-        """Vertices [m] (F, V, 3) float32 relative to the root joint, frame by frame as a stream gets them.
+        """Returns the vertices [m] (F, V, 3) float32, relative to the root joint, of the network's drape of ``garment``
+        on a moving body, frame by frame as a stream gets them.
 
-        The body moves by ``poses`` (F, 24, 3) [rad] and ``trans`` (F, 3) [m]; a dynamic model's code of that motion
-        counts by ``motion``, from 0 to 1.
+        The body moves by ``poses`` (F, 24, 3) [rad] and ``trans`` (F, 3) [m] at ``fps``; the code that a dynamic model
+        computes of that motion is multiplied by ``motion``, from 0 to 1.
         """
         rows, at, memory = self._shape.rows(poses), kinematics(self._body, poses, trans), Memory.empty(self.engine)
-        found, plan = [], replace(self._plan, shape="vertices")
+        drapes, plan = [], replace(self._plan, shape="vertices")
         with self._stored(garment) as key:
             for i in range(len(poses)):
                 arrays = {name: value[i : i + 1] for name, value in rows.items()}
@@ -121,8 +122,8 @@ class ModelDrape:
                     if motion > 0.0:
                         (memory,) = advance(self.engine, [memory], [Moment(i / fps, at[i])])
                     arrays["dynamic_code"] = np.float32(motion) * memory.code[None]
-                found.append(self._packer.run(plan, arrays, [(key, 0)])[0].arrays["vertices"])
-        return np.stack(found)
+                drapes.append(self._packer.run(plan, arrays, [(key, 0)])[0].arrays["vertices"])
+        return np.stack(drapes)
 
     @contextmanager
     def _stored(self, garment: Garment) -> Iterator[str]:

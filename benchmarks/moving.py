@@ -38,17 +38,17 @@ from benchmarks.measure.contact_sheet import Picture, draw_sheet
 from benchmarks.measure.depth import depths_mm
 from benchmarks.measure.intersections import intersecting_pairs
 from benchmarks.served import Stream, plan_of
-from benchmarks.stills import CAPTURED, Stills, input_of, outfits, posed_at, still_figures, stills_of
+from benchmarks.stills import CAPTURED, Stills, input_of, looks_of, outfits, posed_at, still_figures
 from benchmarks.tables import Row
 from drape.body.assets import load_body
 from drape.cloth.metrics import third_difference_square
 from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
-from drape.stages.tiers import NAMES
+from drape.stages.tiers import NAMES as TIER_NAMES
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
-TIERS = NAMES[1:]  # the least has no folds to look at
+TIERS = TIER_NAMES[1:]  # the least has no folds to look at
 EVERY = 5  # frames between two in which crossings and depth are counted
 DEEP_MM = 10.0  # in the skin: no lift hides such a vertex
 OVERLAP_M = 0.03  # from skin that crosses itself
@@ -66,7 +66,7 @@ NAMES = ("garment", "clip", "tier")
 
 @dataclass(frozen=True, eq=False)
 class ClipSkin:
-    """The skin of a body through a ``clip``."""
+    """The skin of the body of ``clip``, as a mesh that moves through the world."""
 
     clip: CaseClip
     _crossing: dict[int, KDTree | None] = field(default_factory=dict)
@@ -76,10 +76,11 @@ class ClipSkin:
         """The vertices [m] (F, V, 3) in the world, float32."""
         chunks = np.array_split(np.arange(len(self.clip.poses)), max(1, len(self.clip.poses) // 20))
         posed = (self.clip.body.posed_vertices(self.clip.poses[rows], self.clip.trans[rows]) for rows in chunks)
-        return np.concatenate([one.astype(np.float32) for one in posed])
+        return np.concatenate([chunk.astype(np.float32) for chunk in posed])
 
     def free(self, frame: int, points: np.ndarray) -> np.ndarray:
-        """Which of ``points`` [m] (N, 3) in the world are more than ``OVERLAP_M`` from skin that crosses itself."""
+        """Returns which (N,) of ``points`` [m] (N, 3) in the world are more than ``OVERLAP_M`` from any place where the
+        skin crosses itself in ``frame``."""
         if frame not in self._crossing:
             vertices, faces = self.vertices[frame].astype(np.float64), self.clip.body.faces
             own = np.unique(intersecting_pairs(vertices, faces))
@@ -89,19 +90,16 @@ class ClipSkin:
 
     @cached_property
     def third(self) -> float:
-        """Returns the RMS, over vertices and frames, of the third difference [m] of the skin's vertices in time."""
+        """The RMS, over vertices and frames, of the third difference [m] of the skin's vertices in time."""
         return float(np.sqrt(third_difference_square(self.vertices)))
 
 
 def streamed(drapery: DrapeRuntime, garments: list[Garment], clip: CaseClip, tier: str) -> tuple[np.ndarray, Row]:
-    """Returns the vertices [m] (F, V, 3) of a stream of ``clip`` in the world, those of one garment after the other,
-    and two figures of the stream: how often folds began anew, and the median processor time of a frame [ms].
-    """
-    stream, frames, resets = (
-        Stream(plan_of(drapery, garments, resolution="fine", tier=tier), clip.body.shape_count),
-        [],
-        0,
-    )
+    """Returns the vertices [m] (F, V, 3) in the world of ``garments``, one garment's after the other's, worn together
+    in a stream of ``clip``; and two figures of the stream: how often folds began anew (``resets``), and the median
+    processor time of a frame (``ms``)."""
+    stream = Stream(plan_of(drapery, garments, resolution="fine", tier=tier), clip.body.shape_count)
+    frames, resets = [], 0
     for number in range(len(clip.poses)):
         batch = stream.frame(input_of(clip, number))
         frames.append(batch.world()[0])
@@ -112,11 +110,12 @@ def streamed(drapery: DrapeRuntime, garments: list[Garment], clip: CaseClip, tie
 def shares_of(
     looks: ClothLooks, vertices: np.ndarray, stills: Sequence[dict[int, Row]], exact: Mapping[int, Row | None]
 ) -> Row:
-    """Returns the looks of a garment that moves through ``vertices`` [m] (F, V, 3), each frame's over those of the
-    still of its own pose, in the mean.
+    """Returns the figures ``SHARES`` of a garment that moves through ``vertices`` [m] (F, V, 3), each over that of the
+    still of the frame's own pose, as means over the frames that have a still; with "curvature_last", over the still of
+    the last of them, and "exact", the angle over that of the exact drape.
 
-    ``stills`` are rows by frame for each place of the clip, ``exact`` those of exact drapes. The mean of what no row
-    has is NaN.
+    ``stills`` are rows by frame for each place of the clip, ``exact`` those of exact drapes by frame. A mean over no
+    frame is NaN.
     """
     shares: list[Row] = []
     for near in stills:
@@ -126,22 +125,21 @@ def shares_of(
             shares.append({name: now[key] / still[key] for name, key in SHARES.items()})
             shares[-1]["curvature_last"] = now["curvature"] / last["curvature"]
             shares[-1]["exact"] = now["dihedral_deg"] / (exact.get(frame) or {}).get("dihedral_deg", np.nan)
-    known = {name: [one[name] for one in shares if np.isfinite(one[name])] for name in shares[0]}
+    known = {name: [row[name] for row in shares if np.isfinite(row[name])] for name in shares[0]}
     return {name: float(np.mean(values)) if values else np.nan for name, values in known.items()}
 
 
 def moving_row(looks: ClothLooks, vertices: np.ndarray, skin: ClipSkin) -> Row:
-    """Returns the figures that need no still, of a garment that moves through ``vertices`` [m] (F, V, 3): crossings,
-    depth in the ``skin``, strain and jitter.
-    """
-    seen = np.arange(min(2 * EVERY, len(vertices) - 1), len(vertices), EVERY)
-    pairs, body = [intersecting_pairs(vertices[i], looks.faces) for i in seen], skin.clip.body
-    middles = [vertices[i][looks.faces[one[:, 0]]].mean(axis=1) for i, one in zip(seen, pairs, strict=True)]
-    free = [skin.free(int(i), one).sum() for i, one in zip(seen, middles, strict=True)]
-    crossings, apart = (np.array(counts) * 1e4 / len(looks.faces) for counts in ([len(one) for one in pairs], free))
-    depths = np.stack([depths_mm(vertices[i], skin.vertices[i].astype(float), body.faces) for i in seen])
+    """Returns those figures of a garment that moves through ``vertices`` [m] (F, V, 3) in the world that need no still:
+    crossings, depth in the ``skin``, strain and jitter (the module says what they are)."""
+    frames = np.arange(min(2 * EVERY, len(vertices) - 1), len(vertices), EVERY)
+    pairs, body = [intersecting_pairs(vertices[i], looks.faces) for i in frames], skin.clip.body
+    middles = [vertices[i][looks.faces[own[:, 0]]].mean(axis=1) for i, own in zip(frames, pairs, strict=True)]
+    free = [skin.free(int(i), points).sum() for i, points in zip(frames, middles, strict=True)]
+    crossings, apart = (np.array(counts) * 1e4 / len(looks.faces) for counts in ([len(own) for own in pairs], free))
+    depths = np.stack([depths_mm(vertices[i], skin.vertices[i].astype(float), body.faces) for i in frames])
     inside = (depths > DEEP_MM).sum(axis=1)
-    depths_free = depths * np.stack([skin.free(int(i), vertices[i]) for i in seen])
+    depths_free = depths * np.stack([skin.free(int(i), vertices[i]) for i in frames])
     return {
         "pop": looks.pop(vertices[-30:]),
         "crossings": float(crossings.mean()),
@@ -151,7 +149,7 @@ def moving_row(looks: ClothLooks, vertices: np.ndarray, skin: ClipSkin) -> Row:
         "depth_free_mm": float(depths_free.max()),
         "inside": float(inside.mean()),
         "inside_worst": float(inside.max()),
-        "strain_pct": looks.strain_pct(vertices[seen]),
+        "strain_pct": looks.strain_pct(vertices[frames]),
         "jitter": float(np.sqrt(third_difference_square(vertices))) / skin.third,
     }
 
@@ -165,37 +163,35 @@ def scene_rows(
     tier: str,
     sheet: Sheet,
 ) -> list[Row]:
-    """The row of every garment that is worn in a clip, in one tier; ``looks`` are those of the garments."""
+    """Returns a row for each of ``garments``, worn together in a stream of ``tier`` through the clip of ``skin``, and
+    shows the rows to ``sheet``. ``looks`` are those of the garments."""
     clip = skin.clip
     at_rest = [{frame: stills.of(garments, clip, frame) for frame in near} for near in posed_at(clip)]
-    vertices, told = streamed(drapery, garments, clip, tier)
-    parts = np.split(vertices, np.cumsum([len(one.place) for one in looks])[:-1], axis=1)
+    vertices, of_stream = streamed(drapery, garments, clip, tier)
+    parts = np.split(vertices, np.cumsum([len(own.place) for own in looks])[:-1], axis=1)
     rows = []
-    for number, (one, own_looks, part) in enumerate(zip(garments, looks, parts, strict=True)):
+    for number, (garment, own_looks, part) in enumerate(zip(garments, looks, parts, strict=True)):
         beside = [{frame: own[number] for frame, own in near.items()} for near in at_rest]
-        row: Row = {"garment": one.name, "clip": clip.name, "tier": tier}
-        exact = {frame: stills.exact_of(one, clip, frame) for near in beside for frame in near if len(garments) == 1}
+        row: Row = {"garment": garment.name, "clip": clip.name, "tier": tier}
+        alone = [frame for near in beside for frame in near if len(garments) == 1]
+        exact = {frame: stills.exact_of(garment, clip, frame) for frame in alone}
         moved = part.astype(float)
         row |= shares_of(own_looks, moved, beside, exact)
-        rows.append(row | moving_row(own_looks, moved, skin) | told)
-        sheet.seen(rows[-1], part[max(beside[-1])], own_looks.faces)
+        rows.append(row | moving_row(own_looks, moved, skin) | of_stream)
+        sheet.show(rows[-1], part[max(beside[-1])], own_looks.faces)
     return rows
 
 
 @dataclass
 class Sheet:
-    """The pictures of the worst frames so far, one for each garment and tier.
-
-    The worst frame is the one with the most curvature relative to that of its still.
-    """
+    """The pictures of the worst clips so far by garment and tier, and their ``curvature`` over that of their stills."""
 
     pictures: dict[tuple[str, str], Picture] = field(default_factory=dict)
     worst: dict[tuple[str, str], float] = field(default_factory=dict)
 
-    def seen(self, row: Row, vertices: np.ndarray, faces: np.ndarray) -> None:
-        """Keeps ``vertices`` [m] (V, 3) and ``faces`` (F, 3) if the curvature in ``row`` is the largest so far of its
-        garment and tier.
-        """
+    def show(self, row: Row, vertices: np.ndarray, faces: np.ndarray) -> None:
+        """Takes ``vertices`` [m] (V, 3) and ``faces`` (F, 3) as the picture of the garment and tier of ``row``, if the
+        curvature in ``row`` is the largest so far."""
         key = row["garment"], row["tier"]
         if row["curvature"] > self.worst.get(key, 0.0):
             self.worst[key] = row["curvature"]
@@ -203,18 +199,16 @@ class Sheet:
 
 
 def summary(rows: Sequence[Row], tiers: Sequence[str], clips: str = "") -> list[Row]:
-    """Returns two rows for each of ``tiers``: the means, and the worst values, of all ``rows`` of that tier.
-
-    ``clips`` is the name of their set of clips.
-    """
-    found = []
+    """Returns two rows for each of ``tiers``: the means and the largest values of all ``rows`` of that tier, without
+    those that are NaN. ``clips`` is what stands in their column of clips."""
+    means = []
     for tier in tiers:
         own = [row for row in rows if row["tier"] == tier]
         for name, of in (("mean", np.mean), ("worst", np.max)):
             known = {key: [row[key] for row in own if np.isfinite(row[key])] for key in COLUMNS if key not in NAMES}
             figures_of = {key: float(of(values)) if values else np.nan for key, values in known.items()}
-            found.append(dict(zip(NAMES, (name, clips, tier), strict=True)) | figures_of)
-    return found
+            means.append(dict(zip(NAMES, (name, clips, tier), strict=True)) | figures_of)
+    return means
 
 
 @Benchmark(
@@ -249,7 +243,7 @@ def _add_rows(run: Run, drapery: DrapeRuntime, names: Sequence[str], clips: Sequ
     """Adds the rows of garments of ``names`` over ``clips``."""
     stills, skins = Stills(drapery), [ClipSkin(clip) for clip in clips]
     for garments in outfits(list(names)):
-        looks = [stills_of(fine_garment(one)) for one in garments]  # whose filters take a while
+        looks = [looks_of(fine_garment(garment)) for garment in garments]  # whose filters take a while
         for skin in skins:
             for tier in run.options.tiers:
                 run.add(scene_rows(drapery, garments, looks, skin, stills, tier, sheet))

@@ -69,11 +69,12 @@ COLUMNS = {
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """The inputs that all garments share: hard poses, windows of clips for jitter, and the networks.
+    """What the measurements of all garments share: a ``clip`` of hard poses, ``windows`` of clips for jitter, and the
+    networks.
 
-    ``fabric``: what garments are made of; None for the cloth ``material`` of before fabrics. ``uncorrected`` is the
-    network without corrections, which folds start from; without it, or a fabric, there are no folds. Physics takes at
-    most ``step_limit`` steps, and its optima are kept in ``physics_folder``, or not at all.
+    Garments are made of ``fabric`` or, if it is None, of the cloth ``material``. ``uncorrected`` is the network without
+    corrections, which folds start from; without it, or without a fabric, there are no folds. Physics takes at most
+    ``step_limit`` steps. Its optima are kept in ``physics_folder``, or nowhere if that is None.
     """
 
     clip: CaseClip
@@ -88,18 +89,18 @@ class Bench:
     def of_fabric(self, fabric: Fabric) -> Bench:
         """Returns the same bench with all garments of ``fabric``."""
         uncorrected = None if self.uncorrected is None else self.uncorrected.made_of(fabric)
-        made = self.network.made_of(fabric)
-        return replace(self, fabric=fabric, material=Material.of(fabric), network=made, uncorrected=uncorrected)
+        network = self.network.made_of(fabric)
+        return replace(self, fabric=fabric, material=Material.of(fabric), network=network, uncorrected=uncorrected)
 
 
 def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
-    """Poses, windows and networks as ``options`` ask."""
+    """Returns the bench of the command's ``options``, on ``body``, in the cloth of ``--material``."""
     clips = [read_motion(path) for path in find_motions(options.motions)]
     windows = typical_windows(clips)
-    made, uncorrected = (ModelDrape.asked(options, body, passes=passes) for passes in (options.passes, 0))
+    network, uncorrected = (ModelDrape.asked(options, body, passes=passes) for passes in (options.passes, 0))
     return Bench(
         clip=CaseClip.hard(hard_poses(clips, body, options.frames), body),
-        network=made,
+        network=network,
         material=material(options.material or DEFAULT_MATERIAL),
         step_limit=options.steps,
         windows=windows[:1] if options.quick else windows,
@@ -109,9 +110,10 @@ def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
 
 
 def in_fabrics(bench: Bench, options: argparse.Namespace) -> list[Bench]:
-    """Returns ``bench`` in each of ``--fabrics``, or in the fabric that the network drapes by default.
+    """Returns ``bench`` once for each of ``--fabrics``, or else once: in the network's default fabric or, with
+    ``--material`` and for a network that knows no fabrics, as it is.
 
-    Refuses (``NotFound``) the name of an unknown fabric, and (``InputError``) fabrics beside ``--material``.
+    Raises ``NotFound`` for the name of an unknown fabric, and ``InputError`` for fabrics beside ``--material``.
     """
     names = options.fabrics
     if names and options.material is not None:
@@ -123,18 +125,19 @@ def in_fabrics(bench: Bench, options: argparse.Namespace) -> list[Bench]:
         )
     if not names:
         names = [DEFAULT_FABRIC] if bench.network.engine.knows_fabrics and options.material is None else []
-    chosen = {made.name: made for made in map(fabric, names)}
-    return [bench.of_fabric(made) for made in chosen.values()] or [bench]
+    chosen = {cloth.name: cloth for cloth in map(fabric, names)}
+    return [bench.of_fabric(cloth) for cloth in chosen.values()] or [bench]
 
 
 def covered(garment: Garment, body: BodyModel, share: float) -> Garment:
-    """Returns ``garment`` covered anew, as intake does it, by ``share`` of the usual number of patches."""
+    """Returns ``garment`` with new patches, as intake makes them, ``share`` times as many as usual."""
     rest = rest_garment(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), body)
     return replace(garment, **patch_fields(rest, share=share, unfold=True))
 
 
 def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[Row]:
-    """One row per method; a row lacks the measures that do not apply to its method."""
+    """Returns a row for each of ``METHODS`` with all measures of ``garment``; a row lacks those that do not apply to
+    its method. ``trained`` says whether the network was trained on the garment."""
     cloth = JudgedCloth(garment, bench.clip.body, bench.material, bench.fabric)
     judge = Judged.of(cloth, bench.clip.poses)
     draped = bench.network.drape(garment, bench.clip.poses)
@@ -148,8 +151,8 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[Row]:
         for method, vertices in positions.items()
     }
     rows["network"] |= chart_figures(garment, draped)
-    for method, found in jitter(garment, bench.network, bench.clip.body, bench.windows).items():
-        rows[method] |= {"jitter_ratio": found.ratio, "jitter_worst": found.worst, "jitter_by_clip": found.by_clip}
+    for method, own in jitter(garment, bench.network, bench.clip.body, bench.windows).items():
+        rows[method] |= {"jitter_ratio": own.ratio, "jitter_worst": own.worst, "jitter_by_clip": own.by_clip}
     add_comparisons(rows)
     rows["physics"] |= {
         "residual_n": float(optimum.residual_n.mean()),
@@ -164,35 +167,33 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[Row]:
 
 
 def drapes(garment: Garment, bench: Bench, judge: Judged, draped: np.ndarray) -> dict[str, np.ndarray]:
-    """World vertices [m] (F, V, 3) by method, but for physics; ``draped`` (F, V, 3) are the network's."""
+    """Returns the world vertices [m] (F, V, 3) of ``garment`` in the bench's poses by method, all but physics;
+    ``draped`` (F, V, 3) are those of the network."""
     body, clip = bench.clip.body, bench.clip
     out = push_out_of_bodies(draped, judge.body_vertices, body_skin(body), push_feed(garment, body))
-    found = {"skinning": judge.skinned, "skinning_push": judge.pushed, "network": draped, "network_push": out}
+    by_method = {"skinning": judge.skinned, "skinning_push": judge.pushed, "network": draped, "network_push": out}
     if bench.uncorrected is not None and bench.fabric is not None:
         # The service's default, but for cloth contact, which physics has not, and for the lift off the skin.
-        made = fold_constants(fine_garment(garment), body, bench.fabric)
+        constants = fold_constants(fine_garment(garment), body, bench.fabric)
         start = bench.uncorrected.drape(garment, clip.poses).vertices
-        found["folds"] = folded_poses(made, start, clip.skin, FoldEffort(STEPS))
-    return found
+        by_method["folds"] = folded_poses(constants, start, clip.skin, FoldEffort(STEPS))
+    return by_method
 
 
 def chart_figures(garment: Garment, draped: NetworkDrape) -> dict[str, float]:
-    """Returns how much overlapping charts disagree before blending, as 99th percentiles: the gap [mm] over all chart
-    entries, and the angle of normals [deg] over all vertices.
-    """
-    found = disagreement(garment, draped.jet, draped.rotation, draped.centre)
+    """Returns how much the overlapping charts of ``draped`` disagree before they are blended, as 99th percentiles: the
+    gap [mm] over all charts of vertices, and the angle of normals [deg] over all vertices."""
+    charts = disagreement(garment, draped.jet, draped.rotation, draped.centre)
     return {
-        "chart_gap_p99_mm": 1e3 * float(np.percentile(found.gap_m, 99.0)),
-        "chart_normal_p99_deg": float(np.degrees(np.percentile(found.normal_rad, 99.0))),
+        "chart_gap_p99_mm": 1e3 * float(np.percentile(charts.gap_m, 99.0)),
+        "chart_normal_p99_deg": float(np.degrees(np.percentile(charts.normal_rad, 99.0))),
     }
 
 
 def add_comparisons(rows: dict[str, Row]) -> None:
-    """Adds to the row of each method what it has beside physics.
-
-    That is the gain and the strain over that of physics in percentage points; for the network and folds also the share
-    of the detail that physics has beyond skinning, NaN where physics has none.
-    """
+    """Adds to each of ``rows``, which are by method, the gain and the strains minus those of physics [percentage
+    points]; to those of the network and of folds also ``detail_share``, the share of the detail that physics has beyond
+    skinning, NaN where physics has none."""
     best, skin = rows["physics"], rows["skinning_push"]["energy_j"]
     for row in rows.values():
         row["gain"] = metrics.gain(skin, row["energy_j"], best["energy_j"])
@@ -203,8 +204,9 @@ def add_comparisons(rows: dict[str, Row]) -> None:
 
 
 def quality_summary(rows: Sequence[Row]) -> list[Row]:
-    """Means over the garments of each set and fabric, one row per method; gain and share are those of the means."""
-    found: list[Row] = []
+    """Returns for each set, fabric and method a row of the means over the garments; gain and shares are computed from
+    the means."""
+    summary: list[Row] = []
     for group in dict.fromkeys((row["set"], row.get("fabric")) for row in rows):
         means = {}
         for method in METHODS:
@@ -216,8 +218,8 @@ def quality_summary(rows: Sequence[Row]) -> list[Row]:
             mean = {key: float(np.mean([row[key] for row in own])) for key in numbers}
             means[method] = {"garment": "all"} | named | mean
         add_comparisons(means)
-        found += means.values()
-    return found
+        summary += means.values()
+    return summary
 
 
 def _in_fabric(garment: str, fabric_name: str | None) -> str:
@@ -257,12 +259,12 @@ def main(run: Run) -> None:
             continue
         print(f"{garment.name}: drapes and the physics optimum, minutes where it is not stored", flush=True)
         trained = options.set == "trained" if options.set else was_trained_on(garment, known)
-        for made in benches:
-            name = _in_fabric(garment.name, made.fabric.name if made.fabric else None)
+        for own in benches:
+            name = _in_fabric(garment.name, own.fabric.name if own.fabric else None)
             try:
-                rows = measure(garment, made, trained=trained)
+                rows = measure(garment, own, trained=trained)
             except InputError as error:  # nor one garment without an optimum
-                refused[_in_fabric(error.name, made.fabric.name if made.fabric else None)] = str(error)
+                refused[_in_fabric(error.name, own.fabric.name if own.fabric else None)] = str(error)
                 continue
             run.rows += rows
             last, stored = rows[-1], ", stored" if rows[-1]["cached"] else ""
@@ -284,7 +286,7 @@ def main(run: Run) -> None:
         "model": options.model,
         **bench.network.record(),
         "passes": bench.network.passes,
-        "fabric": [made.fabric.name for made in benches if made.fabric],
+        "fabric": [own.fabric.name for own in benches if own.fabric],
         "knows_fabrics": bench.network.engine.knows_fabrics,
         "refused": refused,
         "patch_share": options.patches or 1.0,

@@ -1,7 +1,7 @@
-"""The tables that documents show of the committed records.
+"""The tables of docs/records, each of one committed record.
 
-``TABLES`` has a line for each: the record, the document that speaks of it, the table's name, and what makes its text of
-the record.
+``TABLES`` has a line for each: the record, the document that speaks of it, the table's name, and the function that
+writes it.
 """
 
 from __future__ import annotations
@@ -48,14 +48,16 @@ def _by_method(rows: Iterable[Row]) -> dict[tuple[str, str, str], dict[str, Row]
 
 
 def quality_table(record: Record) -> str:
-    """Returns a Markdown table of the record of ``quality``, with a row for every garment and method."""
+    """Returns a Markdown table of a record of ``quality``, with a line for every garment, fabric and method, and where
+    it was measured."""
     rows = record["rows"]
     first = {"garment": QUALITY["garment"]} | _measured(rows, FABRIC)
     return rows_table(first | QUALITY | _measured(rows, DETAIL), rows, record)
 
 
 def network_table(record: Record) -> str:
-    """Returns a Markdown table of the network beside its bounds: a line for each garment, and the means."""
+    """Returns a Markdown table of the network in a record of ``quality``, with a line for each garment and fabric and
+    one for each mean: gain, strain over physics, charts, jitter and self-intersections."""
     every = [*record["rows"], *record["summary"]]
     own = _measured(every, FABRIC) | NETWORK | _measured(every, SHARE)
     lines = []
@@ -68,9 +70,8 @@ def network_table(record: Record) -> str:
 
 
 def fabrics_table(record: Record) -> str:
-    """Returns a Markdown table with a line for each garment and fabric: the gain of the network, and its strain and
-    hang beside those of physics.
-    """
+    """Returns a Markdown table of a record of ``quality`` with a line for each garment and fabric: the gain of the
+    network, and its strain, hang and detail beside those of physics."""
     lines = []
     for names, rows in _by_method(record["rows"]).items():
         network, physics = (cells(rows[method], BESIDE) for method in ("network", "physics"))
@@ -82,9 +83,8 @@ def fabrics_table(record: Record) -> str:
 
 
 def four_table(record: Record) -> str:
-    """Returns a Markdown table with a line for each fabric and set of garments: the gain of the network alone, and of
-    folds on it.
-    """
+    """Returns a Markdown table of a record of ``quality`` with a line for each fabric and set of garments: the gain of
+    the network alone, pushed out and with folds, and what folds leave to physics."""
     left, lines = {"edge_over_physics_pp": ".2f", "detail_share": ".2f"}, []
     for (_, kind, fabric), rows in _by_method(record["summary"]).items():
         gains = [value for method in ("network", "network_push", "folds") for value in cells(rows[method], GAIN)]
@@ -120,11 +120,10 @@ SWING = {
 
 
 def trade_table(record: Record) -> str:
-    """Returns a Markdown table with a line for each choice of knobs on the front and for the ends of the axis, the
-    cheapest first.
-    """
-    kept = [row for row in record["means"] if row["pareto"] or row["tier"]]
-    ordered = sorted(kept, key=lambda row: row["time_ratio"])
+    """Returns a Markdown table of a record of ``tradeoff``, the cheapest first, with a line for each choice of knobs
+    that nothing beats in both time and gain, for each tier, and for the rival and physics."""
+    front = [row for row in record["means"] if row["pareto"] or row["tier"]]
+    ordered = sorted(front, key=lambda row: row["time_ratio"])
     return rows_table(TRADE, ({**row, "tier": row["tier"].replace("_", " ")} for row in ordered), record)
 
 
@@ -162,11 +161,13 @@ INTAKES = {
     "read_s": ("read, wearer [s]", ".1f"), "rest_s": ("at rest [s]", ".1f"), "fit_s": ("patches, cloth [s]", ".1f"),
     "all_s": ("all [s]", ".1f"), "drawn": ("vertices drawn", "d"), "cloth": ("of cloth", "d"),
     "hang_ms": ("hanging [ms]", ".3f"), "frame_ms": ("frame [ms]", ".1f"), "over_dress": ("over the dress's", ".2f"),
+    "sent_s": ("from upload to worn [s]", ".1f"),
 }  # fmt: skip
 
 
 def single_table(record: Record) -> str:
-    """Returns a Markdown table of one frame of one garment: ours, the rivals, the floor."""
+    """Returns a Markdown table of a record of ``latency``: the times [ms] of one frame of each single garment, of ours,
+    of rivals and of the floor."""
     lines = []
     for row in record["rows"]:
         if row["batch"] != 1 or row["garment"] == "mixed" or "," in row["garment"] or "store" in row["garment"]:
@@ -176,17 +177,17 @@ def single_table(record: Record) -> str:
     return markdown_table(["garment", "what", *TIMES.values()], lines, record)
 
 
-def views_table(record: Record) -> str:
-    """Returns a Markdown table of how much less a frame takes where a scene asks for less, and where the record was
-    measured.
-    """
-    return rows_table(VIEWS, [row for row in record["rows"] if row["kind"] == "view"], record)
+def intakes_table(record: Record) -> str:
+    """Returns a Markdown table of a record of ``intakes`` with a line for each file: the seconds of its intake and the
+    time of its frames, with the time from its upload to a service without streams until it was worn."""
+    worn = {row["garment"]: row["sent_s"] for row in record["rows"] if row.get("streams") == 0}
+    rows = [row | {"sent_s": worn.get(row["garment"])} for row in record["rows"] if "faces" in row]
+    return rows_table(INTAKES, rows, record)
 
 
 def serving_table(record: Record) -> str:
-    """Returns a Markdown table of streams under load, with a line for each case, and how many clients each server
-    carries.
-    """
+    """Returns a Markdown table of a record of ``serving`` with a line for each case, and below it how many clients are
+    carried and how long a frame takes alone."""
     carried = ", ".join(f"{name} {count}" for name, count in record["max_clients"].items())
     alone = ", ".join(f"{tier} {ms:.1f} ms" for tier, ms in record["model_ms"].items())
     rows = rows_table(SERVING, record["rows"])
@@ -211,14 +212,11 @@ PAGE = {
 }  # fmt: skip
 
 
-def alike(columns: Columns, record: Record, *, sourced: bool = True) -> str:
-    """Returns a Markdown table with a line for each row of ``record``, and where it was measured."""
-    return rows_table(columns, record["rows"], record if sourced else None)
-
-
-def _only(columns: Columns, key: str, value: str, record: Record) -> str:
-    """A line for each row of ``record`` whose ``key`` is ``value``."""
-    return rows_table(columns, [row for row in record["rows"] if row[key] == value])
+def rows_where(columns: Columns, record: Record, *, sourced: bool = True, **values: str) -> str:
+    """Returns a Markdown table with a line for each row of ``record`` that has these ``values`` by key; if ``sourced``
+    is true, with where it was measured."""
+    rows = [row for row in record["rows"] if all(row[key] == value for key, value in values.items())]
+    return rows_table(columns, rows, record if sourced else None)
 
 
 QUALITY_PAGE, FOLDS_PAGE, SPEED_PAGE = (
@@ -230,19 +228,19 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("quality_fine", QUALITY_PAGE, "quality_fine", network_table),
     ("quality_fabrics", QUALITY_PAGE, "quality_fabrics", fabrics_table),
     ("quality_four", QUALITY_PAGE, "quality_four", four_table),
-    ("swing", "docs/explanation/swing.md", "swing", partial(alike, SWING, sourced=False)),
-    ("moving", FOLDS_PAGE, "moving", partial(alike, MOVING)),
+    ("swing", "docs/explanation/swing.md", "swing", partial(rows_where, SWING, sourced=False)),
+    ("moving", FOLDS_PAGE, "moving", partial(rows_where, MOVING)),
     ("tradeoff", "docs/reference/tradeoff.md", "tradeoff", trade_table),
     ("yardsticks", "docs/reference/tradeoff.md", "yardsticks", trade_table),
-    ("frame", SPEED_PAGE, "frame_kernels", partial(_only, KERNELS, "kind", "kernel")),
-    ("frame_views", SPEED_PAGE, "frame_threads", partial(_only, THREADS, "kind", "threads")),
-    ("frame_views", SPEED_PAGE, "frame_views", views_table),
+    ("frame", SPEED_PAGE, "frame_kernels", partial(rows_where, KERNELS, sourced=False, kind="kernel")),
+    ("frame_views", SPEED_PAGE, "frame_threads", partial(rows_where, THREADS, sourced=False, kind="threads")),
+    ("frame_views", SPEED_PAGE, "frame_views", partial(rows_where, VIEWS, kind="view")),
     ("latency", SPEED_PAGE, "latency_single", single_table),
-    ("latency", SPEED_PAGE, "latency_batches", partial(_only, BATCHES, "garment", "mixed")),
+    ("latency", SPEED_PAGE, "latency_batches", partial(rows_where, BATCHES, sourced=False, garment="mixed")),
     ("latency_gpu", SPEED_PAGE, "latency_gpu_single", single_table),
-    ("latency_gpu", SPEED_PAGE, "latency_gpu_batches", partial(_only, BATCHES, "garment", "mixed")),
+    ("latency_gpu", SPEED_PAGE, "latency_gpu_batches", partial(rows_where, BATCHES, sourced=False, garment="mixed")),
     ("serving", SPEED_PAGE, "serving", serving_table),
-    ("intakes", "docs/guide/garments.md", "intakes", partial(alike, INTAKES)),
-    ("page_lighthouse", "docs/guide/web.md", "page_lighthouse", partial(alike, PAGE)),
-    ("recovery_cuts", "docs/guide/recovery_run.md", "recovery_cuts", partial(alike, CUTS)),
+    ("intakes", "docs/guide/garments.md", "intakes", intakes_table),
+    ("page_lighthouse", "docs/guide/web.md", "page_lighthouse", partial(rows_where, PAGE)),
+    ("recovery_cuts", "docs/guide/recovery_run.md", "recovery_cuts", partial(rows_where, CUTS)),
 )

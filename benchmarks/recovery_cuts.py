@@ -69,13 +69,16 @@ TILE, GAP, ACROSS = (150, 170), 10, 5  # pixels of half a picture and between tw
 
 
 def obj_of(vertices: np.ndarray, faces: np.ndarray) -> str:
-    """An OBJ of a mesh, without texture: a surface as a scanner leaves it."""
+    """Returns the text of an OBJ file of a mesh without texture, as a scanner writes it: vertices (V, 3), faces (F,
+    3)."""
     rows = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in vertices]
     return "\n".join([*rows, *(f"f {a} {b} {c}" for a, b, c in faces + 1)]) + "\n"
 
 
 def write_target(name: str, folder: Path) -> tuple[Path, str]:
-    """The file of a target, and where it comes from. Raises ``SystemExit`` without the data folder."""
+    """Returns the path of the mesh file of the target ``name``, in ``folder`` or the folder of data, and where it is
+    from: "catalogue", "scan" or "drape". Raises ``SystemExit`` where a target needs the folder of data and it is not
+    set."""
     path = folder / f"{name}.obj"
     if name in SHIPPED:
         garment = load_garment(find_files([name], GARMENTS_DIR, (".npz",), "garment")[0])
@@ -90,27 +93,29 @@ def write_target(name: str, folder: Path) -> tuple[Path, str]:
 
 
 def row_of(name: str, folder: Path, pictures: Path | None) -> Row:
-    """The row of one target."""
+    """Recovers the target ``name`` in the scratch ``folder`` and returns its row. ``pictures`` is that of
+    ``recover_job``."""
     target, source = write_target(name, folder)
     fabric = SHIPPED[name][1] if name in SHIPPED else DEFAULT_MATERIAL
     job = as_user(target, folder / "out", "--fabric", fabric, *(("--body", "fit") if name in SCANS else ()))
 
-    def told(cut: Cut | None, panels: int) -> str:
-        return told_words(BASES[name], cut, panels=name in DRAPED and panels == DRAPED[name][1])
+    def judged(cut: Cut | None, panels: int) -> str:
+        return verdict(BASES[name], cut, panels=name in DRAPED and panels == DRAPED[name][1])
 
-    return {"target": name, "from": source, "fabric": fabric, **recover_job(job, told, pictures)}
+    return {"target": name, "from": source, "fabric": fabric, **recover_job(job, judged, pictures)}
 
 
 def as_user(target: Path, out: Path, *words: str) -> RecoveryJob:
-    """The job of ``python -m recovery.run TARGET`` with more ``words``, without other bodies and a garment cache."""
+    """Returns the job of ``python -m recovery.run TARGET --out OUT`` with more ``words``, without a garment's cache and
+    without drapes on other bodies."""
     return job_of(parse([str(target), "--out", str(out), "--no-retarget", "--no-garment", *words]))
 
 
-def recover_job(job: RecoveryJob, told: Callable[[Cut | None, int], str], pictures: Path | None) -> Row:
-    """Returns the row of ``job``: its figures, or the sentence of the refusal.
+def recover_job(job: RecoveryJob, judged: Callable[[Cut | None, int], str], pictures: Path | None) -> Row:
+    """Runs ``job`` and returns its row: figures of the recovered pattern, or the sentence of the refusal.
 
-    ``told`` takes the cut, None for a refusal, and the number of panels, and returns the words on whether they are
-    right. The folder ``pictures`` gets the report and a picture under the target's name.
+    ``judged`` takes the cut, None for a refusal, and the number of panels, and returns the cell that says whether they
+    are right. The folder ``pictures``, if there is one, gets the report and a picture under the target's name.
     """
     began, refusal, outcome = time.process_time(), "", None
     try:
@@ -119,14 +124,14 @@ def recover_job(job: RecoveryJob, told: Callable[[Cut | None, int], str], pictur
         refusal = str(error)
     spent = {"processor_min": (time.process_time() - began) / 60.0}
     if outcome is None:
-        return {"base": REFUSED, "told": told(None, 0), **spent, "refused": refusal}
+        return {"base": REFUSED, "told": judged(None, 0), **spent, "refused": refusal}
     if pictures is not None:
         write_whole(pictures / f"{job.target.stem}.html", page_of(outcome))
         write_whole(pictures / f"{job.target.stem}.png", tile_of(outcome))
     top, panels = top_of(outcome), len(outcome.pattern.panels)
     return {
         "base": outcome.task.cut.base,
-        "told": told(outcome.task.cut, panels),
+        "told": judged(outcome.task.cut, panels),
         "panels": panels,
         "mean_mm": top["distance_mean_mm"],
         "chamfer_cm2": top["chamfer_cm2"],
@@ -141,9 +146,9 @@ def recover_job(job: RecoveryJob, told: Callable[[Cut | None, int], str], pictur
     }
 
 
-def told_words(truth: str, cut: Cut | None, *, panels: bool = False) -> str:
+def verdict(truth: str, cut: Cut | None, *, panels: bool = False) -> str:
     """Returns the cell of a table that says whether ``cut`` is right: "yes"; "base" if only the base is, with a hint
-    where its seams cannot be seen; or "no" and the ``truth``.
+    where its seams cannot be seen; or "no" and the ``truth``, which is the name of a base.
 
     ``panels`` says whether the number of panels is right. ``cut`` is None for a target that was refused, which is right
     where ``truth`` is ``REFUSED``.
@@ -156,15 +161,16 @@ def told_words(truth: str, cut: Cut | None, *, panels: bool = False) -> str:
 
 
 def tile_of(outcome: Outcome) -> bytes:
-    """A PNG of the target, and below it of what was recovered, from the front."""
+    """Returns the bytes of a PNG: the target from the front, and below it what was recovered."""
     skin = outcome.task.wearer.skin
-    there = MeshArrays(outcome.task.mesh.vertices, outcome.task.mesh.faces)
-    found = MeshArrays(outcome.nodes, outcome.recovered.search.mesh.faces)
-    return target_above_result(there, found, MeshArrays(skin.vertices - outcome.task.wearer.trans, skin.faces), TILE)
+    target = MeshArrays(outcome.task.mesh.vertices, outcome.task.mesh.faces)
+    result = MeshArrays(outcome.nodes, outcome.recovered.search.mesh.faces)
+    return target_above_result(target, result, MeshArrays(skin.vertices - outcome.task.wearer.trans, skin.faces), TILE)
 
 
 def sheet_of(folder: Path, names: Sequence[str]) -> bytes:
-    """A WebP of the pictures of targets that ``folder`` has, ``ACROSS`` side by side; empty if it has none."""
+    """Returns the bytes of a WebP of those pictures ``NAME.png`` of ``names`` that ``folder`` has, ``ACROSS`` side by
+    side; empty if it has none."""
     tiles = [Image.open(path) for name in names if (path := folder / f"{name}.png").exists()]
     if not tiles:
         return b""
@@ -185,7 +191,7 @@ def sheet_of(folder: Path, names: Sequence[str]) -> bytes:
     Option("--pictures", None, "writes the reports and their pictures into this folder", kind=Path),
 )
 def main(run: Run) -> None:
-    """Recovers every target and adds a row for each to ``run``."""
+    """Recovers every target of ``--targets`` and adds a row for each to ``run``."""
     os.environ["OMP_NUM_THREADS"] = str(run.options.threads)
     pictures = run.options.pictures
     with tempfile.TemporaryDirectory() as scratch:

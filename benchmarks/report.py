@@ -25,19 +25,21 @@ BLOCKS = figures.BLOCKS | judged_figures.BLOCKS | guide_figures.BLOCKS
 
 
 def pages() -> dict[str, str]:
-    """The text of each page of records by its name, which is that of the document that speaks of them."""
+    """Returns the text of each page of docs/records by its file's name, which is that of the document that speaks of
+    its records."""
     texts: dict[str, str] = {}
-    for bench, document, name, made in TABLES:
+    for bench, document, name, table in TABLES:
         record = _record(bench)
         page = Path(document).name
         source = f"From [`{bench}.json`](../../benchmarks/results/{bench}.json)."
-        section = f"\n## {name.replace('_', ' ')}\n\n{source}\n\n{made(record)}\n"
+        section = f"\n## {name.replace('_', ' ')}\n\n{source}\n\n{table(record)}\n"
         texts[page] = texts.get(page, _head(document)) + section
     return texts
 
 
 def stating() -> dict[str, str]:
-    """The text of each document that states figures, by its path, with the figures that the records hold."""
+    """Returns the text of each document that states figures, by its path under the root, with the figures that the
+    records hold."""
     records = {path.stem: _record(path.stem) for path in RESULTS_DIR.glob("*.json")}
     texts = {path: path.read_text(encoding="utf-8") for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"))}
     return {
@@ -48,8 +50,8 @@ def stating() -> dict[str, str]:
 
 
 def fill(text: str, records: Mapping[str, Record]) -> str:
-    """The page ``text`` with each of its blocks and of its marked figures as the ``records`` have it."""
-    blocks = BLOCK.sub(lambda found: f"{found[1]}{BLOCKS[found[2]](records)}\n{found[3]}", text)
+    """Returns the page ``text`` with each of its blocks and marked figures as ``records``, by name, have it."""
+    blocks = BLOCK.sub(lambda block: f"{block[1]}{BLOCKS[block[2]](records)}\n{block[3]}", text)
     return fill_figures(blocks, records)
 
 
@@ -64,7 +66,8 @@ def _head(document: str) -> str:
 
 
 def main() -> None:
-    """Runs the command line: writes the pages of records, and the figures on other pages."""
+    """Runs the command line: writes all pages of docs/records, deletes those that no record is for, and writes the
+    figures on other pages."""
     FOLDER.mkdir(exist_ok=True)
     texts = pages()
     for path in FOLDER.glob("*.md"):

@@ -1,4 +1,4 @@
-"""The stages of the service in this process, without its server: what a stream or a single frame computes."""
+"""The stages of the service in this process, without its server: a stream, or one frame after the other."""
 
 from __future__ import annotations
 
@@ -18,19 +18,21 @@ from service.compute.drape_runtime import DrapeRuntime
 
 
 def plan_of(runtime: DrapeRuntime, garments: Sequence[Garment], *, messages: bool = False, **options: object) -> Plan:
-    """The plan of ``garments`` worn together, with the fields of ``DrapeOptions``; with ``messages`` as a stream's."""
-    layers = tuple(Entry(one.name, one, "user") for one in garments)
-    asked = DrapeOptions.model_validate(options)
-    plan = runtime.plan(layers[0] if len(layers) == 1 else Outfit(layers), asked, messages=messages)
+    """Returns the plan of ``garments`` worn together, with all constants computed. ``options`` are fields of
+    ``DrapeOptions``; with ``messages`` frames are encoded as those of streams are."""
+    layers = tuple(Entry(garment.name, garment, "user") for garment in garments)
+    chosen = DrapeOptions.model_validate(options)
+    plan = runtime.plan(layers[0] if len(layers) == 1 else Outfit(layers), chosen, messages=messages)
     runtime.add_missing(plan)
     return plan
 
 
 class Stream:
-    """Frames under one plan, one after the other; each goes on from what the stages remember of those before.
+    """A stream that drapes frames by ``plan``, one after the other; each goes on from what the stages remember of those
+    before it.
 
-    ``took`` is told the name of each stage and how long it took [s]. ``staged``: no stages run in one call, so
-    that what each of them calls is seen.
+    ``took`` is called after each stage with its name and its time [s]. With ``staged`` every stage runs by itself, so
+    that the calls of each can be traced. ``shape_count`` is the number of the body's shape coefficients.
     """
 
     def __init__(
@@ -42,21 +44,20 @@ class Stream:
         for stage in plan.stages:
             stage.prepare(plan)
 
-    def frame(self, one: PoseInput) -> Batch:
-        """The drape of ``one``, which is timed; the memories that it holds are replaced by the stream's."""
-        one = replace(one, memories=self.memories)
+    def frame(self, pose: PoseInput) -> Batch:
+        """Drapes ``pose``, with the stream's memories in place of its own, and returns the batch of this one frame. Its
+        time is added to ``clock``."""
+        pose = replace(pose, memories=self.memories)
         with self.clock:
-            *_, batch = self._walk(self.plan, [one], self.took)
+            *_, batch = self._walk(self.plan, [pose], self.took)
         self.memories = batch.memories[0]
         return batch
 
     def pose(self, pose: np.ndarray, time_s: float) -> Batch:
-        """The drape of ``pose`` (24, 3) at ``time_s`` on the body of mean shape, its root in its place."""
-        return self.frame(self._input(pose, time_s))
+        """Does as ``frame``, for ``pose`` (24, 3) [rad] at ``time_s`` on the body of mean shape, its root in its rest
+        place."""
+        return self.frame(PoseInput(pose[None], np.zeros((1, 3)), self._betas, np.array([time_s])))
 
     def forget(self) -> None:
-        """Leaves the next frame without a past."""
+        """Drops the stream's memories: the next frame has no past."""
         self.memories = {}
-
-    def _input(self, pose: np.ndarray, time_s: float) -> PoseInput:
-        return PoseInput(pose[None], np.zeros((1, 3)), self._betas, np.array([time_s]))

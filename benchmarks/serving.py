@@ -66,7 +66,8 @@ COLUMNS = {
 
 @dataclass(eq=False)
 class ClientView:
-    """One client's view: how many poses it sent, and when each frame came [s], its age, its time in the service."""
+    """What a client sees of its stream: how many poses it ``sent``, of each frame when it came [s], its age [s] and its
+    time in the service [ms], and how many frames were computed with less than asked (``stepped``)."""
 
     sent: int = 0
     came_s: list[float] = field(default_factory=list)
@@ -77,13 +78,13 @@ class ClientView:
 
 @dataclass(frozen=True)
 class Server:
-    """A running server: its address and its process."""
+    """A running server: its address and the number of its process."""
 
     url: str
     pid: int
 
     def cpu_s(self) -> float:
-        """Processor time [s] that it has taken; NaN where the system does not tell."""
+        """Returns the processor time [s] that the server has taken so far; NaN where the system does not tell."""
         try:
             return time.clock_gettime((~self.pid << 3) | 2)  # Linux' number for the clock of another process
         except (AttributeError, OSError):
@@ -92,7 +93,7 @@ class Server:
 
 @dataclass(eq=False)
 class Spent:
-    """Processor time of a server from ``begin`` on."""
+    """The processor time that the server ``at`` takes from ``begin`` on."""
 
     at: Server
     before_s: float = 0.0
@@ -106,7 +107,8 @@ class Spent:
 
 @contextlib.contextmanager
 def server(module: str = "service", **settings: object) -> Iterator[Server]:
-    """``python -m module`` on a free loopback port, with ``settings`` and an empty folder of uploads."""
+    """A context in which ``python -m MODULE`` serves on a free loopback port, with ``settings`` and an empty folder of
+    uploads; gives the server. Raises ``RuntimeError`` where it does not start."""
     with tempfile.TemporaryDirectory() as folder:
         named = {f"DRAPE_{name.upper()}": str(value) for name, value in settings.items()}
         environment = os.environ | {"DRAPE_GARMENTS_DIR": folder} | named
@@ -116,33 +118,34 @@ def server(module: str = "service", **settings: object) -> Iterator[Server]:
         )
         try:
             assert process.stdout is not None
-            said = re.search(r"http://\S+", process.stdout.readline())
-            if said is None:
+            address = re.search(r"http://\S+", process.stdout.readline())
+            if address is None:
                 raise RuntimeError(f"{module} did not start")
-            yield Server(said.group(), process.pid)
+            yield Server(address.group(), process.pid)
         finally:
             process.terminate()
             process.wait(timeout=30)
 
 
-async def client(stream: DrapeStream, clip: MotionClip, seen: ClientView, begin_s: float, seconds: float) -> None:
-    """Sends ``clip`` at ``FPS``, and fills ``seen`` from ``begin_s`` on for ``seconds``."""
+async def client(stream: DrapeStream, clip: MotionClip, view: ClientView, begin_s: float, seconds: float) -> None:
+    """Sends the poses of ``clip`` to ``stream`` at ``FPS`` and takes its frames. Fills ``view`` during ``seconds`` from
+    ``begin_s`` on, a time of ``time.perf_counter``."""
 
     async def take() -> None:
         while True:
             received = await stream.receive()
             if time.perf_counter() < begin_s:
                 continue
-            seen.came_s.append(time.perf_counter())
-            seen.age_s.append(received.age_s)
-            seen.residence_ms.append(1e-3 * received.frame.residence_us)
-            seen.stepped += received.frame.stepped
+            view.came_s.append(time.perf_counter())
+            view.age_s.append(received.age_s)
+            view.residence_ms.append(1e-3 * received.frame.residence_us)
+            view.stepped += received.frame.stepped
 
     taking = asyncio.create_task(take())
     start_s, number = time.perf_counter(), 0
     while time.perf_counter() < begin_s + seconds:
         await stream.send(clip.poses[number % len(clip.poses)])
-        seen.sent += time.perf_counter() >= begin_s
+        view.sent += time.perf_counter() >= begin_s
         number += 1
         await asyncio.sleep(max(0.0, start_s + number / FPS - time.perf_counter()))
     await asyncio.sleep(2.0 * LATE_S)
@@ -155,17 +158,17 @@ async def crowd(
     url: str, clip: MotionClip, count: int, seconds: float, warm_s: float = WARM_S,
     *, begun: Callable[[], None] | None = None, garments: Sequence[str] = (), **options: Any,
 ) -> list[ClientView]:  # fmt: skip
-    """Returns what each of ``count`` clients saw of its stream during the same ``seconds``.
+    """Returns the views of ``count`` clients that stream ``clip`` from the service at ``url`` during the same
+    ``seconds``. These begin ``warm_s`` after the last stream is open, and ``begun`` is called then.
 
-    These begin ``warm_s`` after the last stream is open, and ``begun`` is called then. Clients take ``garments`` in
-    turn.
+    The clients take ``garments`` in turn; ``options`` are those of each stream.
     """
-    seen = [ClientView() for _ in range(count)]
+    views = [ClientView() for _ in range(count)]
     named: list[dict[str, Any]] = [
         options | {"garment": garments[i % len(garments)]} if garments else options for i in range(count)
     ]
-    async with contextlib.AsyncExitStack() as kept:
-        streams = [await kept.enter_async_context(await DrapeStream.open(url, **own)) for own in named]
+    async with contextlib.AsyncExitStack() as stack:
+        streams = [await stack.enter_async_context(await DrapeStream.open(url, **own)) for own in named]
         begin_s = time.perf_counter() + warm_s
 
         async def call() -> None:
@@ -173,23 +176,24 @@ async def crowd(
             if begun is not None:
                 begun()
 
-        calls = (client(stream, clip, one, begin_s, seconds) for stream, one in zip(streams, seen, strict=True))
+        calls = (client(stream, clip, view, begin_s, seconds) for stream, view in zip(streams, views, strict=True))
         await asyncio.gather(call(), *calls)
-    return seen
+    return views
 
 
-def stream_figures(seen: Sequence[ClientView], model_ms: np.ndarray | None) -> dict[str, float]:
-    """The columns of what clients saw, beside the model's frames alone, ``model_ms`` (F,), where known."""
-    ages = np.concatenate([one.age_s for one in seen])
-    inside = np.concatenate([one.residence_ms for one in seen])
-    gaps = [np.diff(one.came_s).max() for one in seen if len(one.came_s) > 1]
-    sent = sum(one.sent for one in seen)
+def stream_figures(views: Sequence[ClientView], model_ms: np.ndarray | None) -> dict[str, float]:
+    """Returns the columns of a row that follow from the clients' ``views``: goodput [%], age of frames and longest gap
+    [ms]; with ``beside_model`` where the times of the model alone ``model_ms`` (F,) are known."""
+    ages = np.concatenate([view.age_s for view in views])
+    inside = np.concatenate([view.residence_ms for view in views])
+    gaps = [np.diff(view.came_s).max() for view in views if len(view.came_s) > 1]
+    sent = sum(view.sent for view in views)
     if not len(ages):
         return {"goodput_pct": 0.0}
     return {
         "goodput_pct": 100.0 * float((ages <= LATE_S).sum()) / sent,
         "served_pct": 100.0 * len(ages) / sent,
-        "stepped_pct": 100.0 * sum(one.stepped for one in seen) / len(ages),
+        "stepped_pct": 100.0 * sum(view.stepped for view in views) / len(ages),
         "frame_age_p50_ms": 1e3 * float(np.median(ages)),
         "frame_age_p99_ms": 1e3 * float(np.percentile(ages, 99.0)),
         "gap_max_ms": 1e3 * float(max(gaps, default=np.nan)),
@@ -197,7 +201,8 @@ def stream_figures(seen: Sequence[ClientView], model_ms: np.ndarray | None) -> d
 
 
 def beside_model(inside_ms: np.ndarray, model_ms: np.ndarray) -> dict[str, float]:
-    """How much longer frames are in the service than the model takes."""
+    """Returns how much longer [ms] frames are in the service (``inside_ms``) than the model takes for them alone
+    (``model_ms``), median less median and 99th percentile less 99th percentile."""
     return {
         "overhead_p50_ms": float(np.median(inside_ms) - np.median(model_ms)),
         "overhead_p99_ms": float(np.percentile(inside_ms, 99.0) - np.percentile(model_ms, 99.0)),
@@ -205,24 +210,22 @@ def beside_model(inside_ms: np.ndarray, model_ms: np.ndarray) -> dict[str, float
 
 
 def model_times(garment: str, clip: MotionClip, seconds: float) -> dict[str, np.ndarray]:
-    """Time [ms] (F,) of each frame of ``clip`` at ``FPS`` alone in this process, stages without serving.
-
-    By tier, and for ``POST``: warm frames of its options.
-    """
+    """Returns the wall times [ms] (F,) of frames of ``garment`` that the stages alone take in this process, by tier: of
+    ``clip`` at ``FPS`` during ``seconds``. Under ``POST`` are those of single frames, one right after the other."""
     drapery = DrapeRuntime(Settings())
     entry, shapes = drapery.garments.get(garment), drapery.body.shape_count
-    asked = {tier.name: DrapeOptions.model_validate({"tier": tier.name}) for tier in drapery.tiers}
-    found = {
+    tiers = {tier.name: DrapeOptions.model_validate({"tier": tier.name}) for tier in drapery.tiers}
+    times = {
         name: alone(drapery.plan(entry, options, messages=True), shapes, clip, seconds)
-        for name, options in asked.items()
+        for name, options in tiers.items()
     }
-    found[POST] = alone(drapery.plan(entry, DrapeOptions.model_validate(POSTED)), shapes, clip, seconds, warm=True)
+    times[POST] = alone(drapery.plan(entry, DrapeOptions.model_validate(POSTED)), shapes, clip, seconds, warm=True)
     drapery.close()
-    return found
+    return times
 
 
 def alone(plan: Plan, shape_count: int, clip: MotionClip, seconds: float, *, warm: bool = False) -> np.ndarray:
-    """Time [ms] (F,) of each frame of ``clip`` under ``plan``.
+    """Returns the wall time [ms] (F,) of each frame of ``clip`` under ``plan``, as many as a stream has in ``seconds``.
 
     Frames come with the pauses of a stream, for what a pause leaves of the processor's caches is the frame's to pay;
     ``warm`` frames come one right after the other, and have no past.
@@ -238,9 +241,10 @@ def alone(plan: Plan, shape_count: int, clip: MotionClip, seconds: float, *, war
 
 
 def posts(url: str, garment: str, clip: MotionClip, seconds: float) -> np.ndarray:
-    """Time [ms] (F,) of ``POST /drape`` of one frame, binary there and back, one right after the other.
+    """Returns the wall times [ms] (F,) from request to answer of ``POST /drape`` of one frame, binary in both
+    directions, one right after the other: as many as a stream has frames in ``seconds``.
 
-    The client is the standard library's, which has less of its own than others.
+    The client is the standard library's, which takes less time itself than others.
     """
     took_ms: list[float] = []
     headers: dict[str, str] = dict.fromkeys(("Content-Type", "Accept"), "application/octet-stream")
@@ -259,7 +263,8 @@ def posts(url: str, garment: str, clip: MotionClip, seconds: float) -> np.ndarra
 
 @dataclass(eq=False)
 class ServingBench:
-    """The clip, garment and times that all cases share; their rows go to ``run``."""
+    """What all cases share: the ``run`` that gets their rows, clip, garment, the ``seconds`` of each, the times of the
+    model alone ``model_ms`` (``model_times``), and the seconds before measuring begins."""
 
     run: Run
     clip: MotionClip
@@ -269,17 +274,18 @@ class ServingBench:
     warm_s: float = WARM_S
 
     def measure(self, case: str, at: Server, tier: str, count: int = 1, **others: Any) -> Row:
-        """Adds the row of ``count`` clients of ``tier``; ``others`` are more of their options."""
+        """Measures ``count`` clients of ``tier``, with ``others`` among their options, and adds their row to the run.
+        Returns the row."""
         spent, options = Spent(at), {"garment": self.garment, "tier": tier} | others
-        seen = asyncio.run(crowd(at.url, self.clip, count, self.seconds, self.warm_s, begun=spent.begin, **options))
+        views = asyncio.run(crowd(at.url, self.clip, count, self.seconds, self.warm_s, begun=spent.begin, **options))
         row = {"case": case, "server": "service", "tier": tier, "clients": count, "fps": FPS}
         alone = self.model_ms[tier] if not others and len(self.clip.poses) > 1 else None
-        row |= stream_figures(seen, alone) | {"cpu_ms": spent.ms_per_frame(sum(one.sent for one in seen))}
+        row |= stream_figures(views, alone) | {"cpu_ms": spent.ms_per_frame(sum(view.sent for view in views))}
         self.run.add([row])
         return row
 
     def posted(self, at: Server) -> None:
-        """Adds the row of single frames, one request each: ages are from request to answer."""
+        """Measures single frames, one request each, and adds their row to the run: ages are from request to answer."""
         took_ms = posts(at.url, self.garment, self.clip, self.seconds)
         row = {"case": POST, "server": "service", "tier": "", "clients": 1, "fps": FPS, "goodput_pct": 100.0}
         row["frame_age_p50_ms"] = float(np.median(took_ms))
@@ -287,7 +293,8 @@ class ServingBench:
         self.run.add([row | beside_model(took_ms, self.model_ms[POST])])
 
     def carried(self, at: Server, tier: str, counts: Sequence[int]) -> int:
-        """How many of ``counts`` clients the server carries; adds their rows."""
+        """Measures each of ``counts`` clients of ``tier`` and adds their rows to the run. Returns the largest of
+        ``counts`` whose goodput is at least ``CARRIED_PCT``, 0 if there is none."""
         rows = [self.measure("streams", at, tier, count) for count in counts]
         return max((row["clients"] for row in rows if row["goodput_pct"] >= CARRIED_PCT), default=0)
 
@@ -298,7 +305,8 @@ class ServingBench:
 
 
 def measure_streams(bench: ServingBench, options: argparse.Namespace) -> dict[str, int]:
-    """Fills the rows of ``bench``; how many clients each server carries by tier."""
+    """Measures all cases and adds their rows to the run of ``bench``. Returns how many clients a service carries, under
+    "service TIER"."""
     carried: dict[str, int] = {}
     with server(stream_step_down=False) as at:
         for tier in reversed(NAMES):
@@ -326,7 +334,7 @@ def measure_streams(bench: ServingBench, options: argparse.Namespace) -> dict[st
     Option("--clients", (1, 2, 4, 8), "of streams at the same time", (1,)),
 )
 def main(run: Run) -> None:
-    """Measures every case and adds its rows to ``run``."""
+    """Adds to ``run`` the rows of every case, and to its record what is carried and the times of the model alone."""
     options, load = run.options, os.getloadavg()[0]
     clip = at_rate(read_motion(find_motions(["walk"])[0]), FPS)
     model_ms = model_times(options.garment, clip, options.seconds)

@@ -36,14 +36,14 @@ GARMENT = "tank"
 
 
 class Fuzz:
-    """Frames of one stream drawn from ``seed``; each is the same whenever it is drawn after the same ones."""
+    """A stream of random frames that ``seed`` determines, of bodies with ``shapes`` shape coefficients."""
 
     def __init__(self, seed: int, shapes: int) -> None:
         self._rng, self._shapes, self._number = np.random.default_rng(seed), shapes, 0
         self._pose, self._betas, self._time_s = np.zeros((24, 3)), np.zeros(shapes), 0.0
 
     def next(self) -> tuple[PoseInput, bool]:
-        """The next frame, and whether it is of another body, which has no past."""
+        """Returns the next frame, and whether it is of another body than the last one and so has no past."""
         rng, anew = self._rng, self._number % SHAPE_EVERY == 0
         if anew:
             size = rng.choice([0.0, 2.0, 5.0, BETA_LIMIT])
@@ -62,26 +62,27 @@ class Fuzz:
 def soak_frames(
     drapery: DrapeRuntime, *, count: int, until_s: float, seed: int, folds: int = 2
 ) -> tuple[int, str | None]:
-    """How many of ``count`` frames were draped until ``time.monotonic`` was ``until_s``, and the first failure."""
+    """Drapes ``count`` random frames, or fewer if ``time.monotonic`` comes to ``until_s``. Returns how many were draped
+    before the first failure, and the sentence of that, None if there was none."""
     (entry,) = drapery.garments.entries()
     plan = drapery.plan(entry, DrapeOptions(advanced=Advanced(push_out=True, folds=folds, settle=2)), messages=True)
     fuzz, stream = Fuzz(seed, drapery.body.shape_count), Stream(plan, drapery.body.shape_count)
     for number in range(count):
         if time.monotonic() >= until_s:
             return number, None
-        one, anew = fuzz.next()
+        pose, anew = fuzz.next()
         if anew:
             stream.forget()
         try:
-            _check(stream.frame(one), one, drapery)
+            _check(stream.frame(pose), pose, drapery)
         except (AssertionError, DrapeError) as error:
             return number, f"frame {number} of seed {seed}: {error}"
     return count, None
 
 
-def _check(batch: Batch, one: PoseInput, drapery: DrapeRuntime) -> None:
-    """Raises ``AssertionError`` where ``batch`` is no drape of the frame ``one``."""
-    box = drapery.body.posed_vertices(one.poses, None, one.betas)[0] - drapery.body.rest_joints(one.betas)[0]
+def _check(batch: Batch, pose: PoseInput, drapery: DrapeRuntime) -> None:
+    """Raises ``AssertionError`` where ``batch`` is no drape of the frame ``pose``."""
+    box = drapery.body.posed_vertices(pose.poses, None, pose.betas)[0] - drapery.body.rest_joints(pose.betas)[0]
     vertices = batch.vertices[0]
     assert np.isfinite(vertices).all(), "not finite"
     beyond_m = max(float((vertices.max(0) - box.max(0)).max()), float((box.min(0) - vertices.min(0)).max()))
@@ -91,9 +92,11 @@ def _check(batch: Batch, one: PoseInput, drapery: DrapeRuntime) -> None:
 
 
 def soak_rows(*, count: int, until_s: float, seed: int) -> tuple[int, str | None]:
-    """How many of ``count`` rows went through rotations and the wire's steps, and the first failure."""
-    rng, done = np.random.default_rng(seed), 0
-    while done < count and time.monotonic() < until_s:
+    """Sends ``count`` random rows through rotations and the wire's quantisation, or fewer if ``time.monotonic`` comes
+    to ``until_s``. Returns how many went through before the first failure, and the sentence of that, None if there was
+    none."""
+    rng, number = np.random.default_rng(seed), 0
+    while number < count and time.monotonic() < until_s:
         size = 10.0 ** rng.uniform(-45.0, 3.0, (ROW_BLOCK, 1))
         rows = size * rng.normal(size=(ROW_BLOCK, 3))
         turn = rotvec_to_matrix(rows)
@@ -107,9 +110,9 @@ def soak_rows(*, count: int, until_s: float, seed: int) -> tuple[int, str | None
         lost = np.abs(wire.dequantise(steps, low, step) - rows).max(axis=0)
         room = 0.5 * step + 4.0 * np.spacing(np.abs(rows).max(axis=0).astype(np.float32))
         if max(off) > 1e-9 or not np.isfinite(loose).all() or (lost > room).any():
-            return done, f"rows from {done} of seed {seed}: {max(off):.2g}"
-        done += ROW_BLOCK
-    return done, None
+            return number, f"rows from {number} of seed {seed}: {max(off):.2g}"
+        number += ROW_BLOCK
+    return number, None
 
 
 @Benchmark(
@@ -123,7 +126,8 @@ def soak_rows(*, count: int, until_s: float, seed: int) -> tuple[int, str | None
     Option("--garment", GARMENT, "what is draped"),
 )
 def main(run: Run) -> None:
-    """Adds one row to ``run``: what was done, and the first failure. The run fails with that."""
+    """Adds one row to ``run``: how many frames and rows went through, and the first failure, with which the run
+    fails."""
     options = run.options
     with tempfile.TemporaryDirectory(prefix="soak-") as folder:
         shipped = Path(folder) / "shipped"

@@ -56,13 +56,15 @@ CAPTURED = (
 
 
 def posed_at(clip: CaseClip) -> list[list[int]]:
-    """Returns the frames of ``clip`` whose poses have a still: for each of ``PLACES`` its own and those before it."""
+    """Returns the numbers of those frames of ``clip`` whose poses have a still: a list for each of ``PLACES``, of the
+    frame there and of those ``BEFORE`` it, in order."""
     places = [round(place * (len(clip.poses) - 1)) for place in PLACES]
     return [sorted({max(0, place - before) for before in BEFORE}) for place in places]
 
 
-def stills_of(garment: Garment) -> ClothLooks:
-    """The looks of a fine ``garment``."""
+def looks_of(garment: Garment) -> ClothLooks:
+    """Returns what measures the looks of ``garment``, which is a fine one (``drape.garment.fine``), on its delivered
+    mesh."""
     at_rest = garment.vertices[: garment.vertex_count].astype(np.float64)
     return ClothLooks(garment.delivered_rest(), garment.faces.astype(np.int64), at_rest)
 
@@ -75,23 +77,24 @@ def input_of(clip: CaseClip, frame: int) -> PoseInput:
 
 def still_figures(looks: ClothLooks, vertices: np.ndarray) -> Row:
     """Returns curvature, dihedral angle, area, hem and relief of cloth at ``vertices`` [m] (V, 3), by name."""
-    one = vertices[None]
-    relief = dict(zip((f"{band}_mm" for band in BANDS), looks.relief_mm(one)[0].tolist(), strict=True))
-    told = {
+    frame = vertices[None]
+    relief = dict(zip((f"{band}_mm" for band in BANDS), looks.relief_mm(frame)[0].tolist(), strict=True))
+    measures = {
         "curvature": looks.curvature,
         "dihedral_deg": looks.dihedral_deg,
         "area_m2": looks.area_m2,
         "hem_mm": looks.hem_mm,
     }
-    return {name: float(measure(one)[0]) for name, measure in told.items()} | relief
+    return {name: float(measure(frame)[0]) for name, measure in measures.items()} | relief
 
 
 class Stills:
-    """Stills of garments in poses of clips: those of the record, and others, which are made."""
+    """The rows of stills of garments in poses of clips: those of the record at ``path``, unless ``anew`` is true, and
+    others, which are computed when they are first asked for."""
 
     def __init__(self, drapery: DrapeRuntime, path: Path = RESULTS_DIR / "stills.json", *, anew: bool = False) -> None:
-        kept = json.loads(path.read_text())["rows"] if path.is_file() and not anew else []
-        self.rows: dict[tuple[object, ...], Row] = {tuple(row[name] for name in KEY): row for row in kept}
+        rows = json.loads(path.read_text())["rows"] if path.is_file() and not anew else []
+        self.rows: dict[tuple[object, ...], Row] = {tuple(row[name] for name in KEY): row for row in rows}
         self._drapery = drapery
 
     @cached_property
@@ -99,30 +102,31 @@ class Stills:
         return commit_of_tree()
 
     def of(self, garments: list[Garment], clip: CaseClip, frame: int) -> list[Row]:
-        """The rows of ``garments``, worn together, in the pose of a ``frame`` of ``clip``."""
-        keys = [(one.name, worn_digest(garments, one), clip.name, frame, SETTLED) for one in garments]
+        """Returns the row of the settled still of each of ``garments``, worn together, in the pose of a ``frame`` of
+        ``clip``."""
+        keys = [(garment.name, worn_digest(garments, garment), clip.name, frame, SETTLED) for garment in garments]
         if any(key not in self.rows for key in keys):
             world = self._settled(garments, clip.body, input_of(clip, frame)).world()[0].astype(np.float64)
-            fine = [fine_garment(one) for one in garments]
-            parts = np.split(world, np.cumsum([one.vertex_count for one in fine])[:-1])
-            for key, one, vertices in zip(keys, fine, parts, strict=True):
-                self._keep(key, still_figures(stills_of(one), vertices))
+            fine = [fine_garment(garment) for garment in garments]
+            parts = np.split(world, np.cumsum([garment.vertex_count for garment in fine])[:-1])
+            for key, garment, vertices in zip(keys, fine, parts, strict=True):
+                self._keep(key, still_figures(looks_of(garment), vertices))
         return [self.rows[key] for key in keys]
 
-    def exact_of(self, garment: Garment, clip: CaseClip, frame: int, *, made: bool = False) -> Row | None:
+    def exact_of(self, garment: Garment, clip: CaseClip, frame: int, *, computes: bool = False) -> Row | None:
         """Returns the row of the exact drape of ``garment``, worn alone, in the pose of a ``frame`` of ``clip``.
 
-        Where the record has none it is computed if ``made`` is true; otherwise None is returned.
+        Where the record has none it is computed if ``computes`` is true; otherwise None is returned.
         """
         key = garment.name, worn_digest([garment], garment), clip.name, frame, EXACT
-        if key not in self.rows and made:
+        if key not in self.rows and computes:
             start, body, fine = input_of(clip, frame), clip.body, fine_garment(garment)
             at_rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), start.betas, np.zeros(1))
-            rest, x = (self._settled([garment], body, one).vertices[0] for one in (at_rest, start))
+            rest, x = (self._settled([garment], body, pose).vertices[0] for pose in (at_rest, start))
             sheet = ExactCloth.of(garment, fabric_named(garment.fabric), body, start.betas, rest)
-            lain, told = exact(sheet, start.poses[0], x)
-            left = {"crossings": told.crossings, "force_share": told.force_share}
-            self._keep(key, still_figures(stills_of(fine), lain.x) | left)
+            drape, report = exact(sheet, start.poses[0], x)
+            left = {"crossings": report.crossings, "force_share": report.force_share}
+            self._keep(key, still_figures(looks_of(fine), drape.x) | left)
         return self.rows.get(key)
 
     def _keep(self, key: tuple[object, ...], figures: Row) -> None:
@@ -134,13 +138,13 @@ class Stills:
         return Stream(plan, body.shape_count).frame(pose)
 
 
-def worn_digest(garments: list[Garment], one: Garment) -> str:
-    """Returns a digest that tells ``one``, as it is worn with ``garments``, from other garments of its name."""
-    return "+".join(garment.digest[:8] for garment in ([one, *garments] if len(garments) > 1 else garments))
+def worn_digest(garments: list[Garment], garment: Garment) -> str:
+    """Returns a digest that distinguishes ``garment``, worn with ``garments``, from other garments of its name."""
+    return "+".join(item.digest[:8] for item in ([garment, *garments] if len(garments) > 1 else garments))
 
 
 def outfits(names: list[str]) -> Iterator[list[Garment]]:
-    """The garments of every file or name of ``names``."""
+    """Yields the garments of each of ``names``, names, files or folders; () stands for all shipped ones."""
     body = load_body()
     return (open_outfit(path, body) for path in find_garments(names))
 
@@ -156,7 +160,8 @@ def outfits(names: list[str]) -> Iterator[list[Garment]]:
     Option("--exact", False, "makes the exact drape of each garment that is worn alone"),
 )
 def main(run: Run) -> None:
-    """Adds to ``run`` the rows of every garment in the measured poses of every clip, and those of the record."""
+    """Adds to ``run`` the rows of every garment in the measured poses of every clip, and the other rows of the
+    record."""
     options, body = run.options, load_body()
     stills = Stills(DrapeRuntime(Settings(threads=1, model=options.model)), anew=options.anew)
     _make(stills, options.garments, read_case_clips(options, body, FPS), exact_too=options.exact)
@@ -173,7 +178,7 @@ def _make(stills: Stills, names: Sequence[str], clips: Sequence[CaseClip], *, ex
             for frame in chain(*posed_at(clip)):
                 stills.of(garments, clip, frame)
                 if exact_too and len(garments) == 1:
-                    stills.exact_of(garments[0], clip, frame, made=True)
+                    stills.exact_of(garments[0], clip, frame, computes=True)
 
 
 if __name__ == "__main__":

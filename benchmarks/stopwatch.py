@@ -13,7 +13,7 @@ WARM_CALLS = 5
 
 @dataclass
 class Clock:
-    """Wall and processor time [ms] of every block that ran ``with`` it, of this thread."""
+    """The wall time and the processor time of this thread [ms] of every block that ran ``with`` the clock, in order."""
 
     wall_ms: list[float] = field(default_factory=list)
     cpu_ms: list[float] = field(default_factory=list)
@@ -28,7 +28,8 @@ class Clock:
 
 
 def timed(call: Callable[[], object], *, seconds: float, calls: int = 500) -> float:
-    """The median time [ms] of ``call``, again and again: at most ``calls`` and ``seconds``, at least ten times."""
+    """Returns the median wall time [ms] of ``call``, which is called ten times at least, and then until ``calls`` or
+    ``seconds`` are reached."""
     for _ in range(WARM_CALLS):
         call()
     clock, end = Clock(), time.perf_counter() + seconds

@@ -4,7 +4,7 @@
     python -m benchmarks.swing --garments dress --motions turn
 
 In the turn on the spot (``spin``) the body goes from rest to ``--rate`` turns a second in 0.75 s, keeps that for 1.25 s
-and stops in 0.3 s; ``benchmarks.swing`` has the others. Methods: ``static``, the network's drape of every
+and stops in 0.3 s; ``WAYS`` has the stop, the step and the fall. Methods: ``static``, the network's drape of every
 pose; ``network``, with what it has learned of motion; ``swing``, the nodes of ``drape.live``; ``swing_folds``, two
 steps of folds on that; ``simulator``, the full mesh with the fabric's friction on the skin, the same air and damping
 (``benchmarks.judge.simulator``), from the static drape on. A clip of it takes about twenty minutes, so scenes are run
@@ -26,7 +26,7 @@ import numpy as np
 
 from benchmarks.cases import FPS, CaseClip, CaseScene
 from benchmarks.harness import RESULTS_DIR, Benchmark, Option, Run, inputs
-from benchmarks.judge.physics import held_by_waist
+from benchmarks.judge.physics import anchored_waistband
 from benchmarks.judge.simulator import SimulatedCloth, SimulatedMotion, simulate
 from benchmarks.measure.hem import hem_vertices, swinging
 from benchmarks.measure.judged import jitter_ratio
@@ -48,26 +48,29 @@ FALL_M, GRAVITY_M_S2, LANDING_S = 1.0, 9.81, 0.12
 
 
 def turn_yaw(time_s: np.ndarray, turns_per_s: float) -> np.ndarray:
-    """The yaw [rad] (F,) of a body that turns ``turns_per_s`` from 1.25 s to 2.5 s, and stands before 0.5 and after
-    2.8."""
+    """Returns the yaw [rad] (F,) at the times ``time_s`` (F,) of a body that turns ``turns_per_s`` from 1.25 s to
+    2.5 s, and stands before 0.5 s and after 2.8 s."""
     rate = np.interp(time_s, [0.5, 1.25, 2.5, 2.8], 2.0 * np.pi * turns_per_s * np.array([0.0, 1.0, 1.0, 0.0]))
     return _summed(rate, time_s)
 
 
 def stop_way(time_s: np.ndarray) -> np.ndarray:
-    """The root's displacement [m] (F, 3) of a body that goes forward with 1.4 m/s and stops in 0.2 s."""
+    """Returns the displacements [m] (F, 3) of the root at ``time_s`` (F,) of a body that goes forward with 1.4 m/s and
+    stops within 0.2 s."""
     rate = np.interp(time_s, [0.5, 1.0, 1.6, 1.8], [0.0, 1.4, 1.4, 0.0])
     return _summed(rate, time_s)[:, None] * np.array([0.0, 0.0, 1.0])
 
 
 def step_way(time_s: np.ndarray) -> np.ndarray:
-    """The root's displacement [m] (F, 3) of a body that steps up and forward by 0.3 m in 0.4 s."""
-    done = np.clip((time_s - 0.5) / 0.4, 0.0, 1.0)
-    return (0.3 * done**2 * (3.0 - 2.0 * done))[:, None] * np.array([0.0, 1.0, 1.0])
+    """Returns the displacements [m] (F, 3) of the root at ``time_s`` (F,) of a body that steps up and forward by 0.3 m
+    in 0.4 s."""
+    share = np.clip((time_s - 0.5) / 0.4, 0.0, 1.0)
+    return (0.3 * share**2 * (3.0 - 2.0 * share))[:, None] * np.array([0.0, 1.0, 1.0])
 
 
 def fall_way(time_s: np.ndarray) -> np.ndarray:
-    """The root's displacement [m] (F, 3) of a body that falls by ``FALL_M`` freely and lands in ``LANDING_S``."""
+    """Returns the displacements [m] (F, 3) of the root at ``time_s`` (F,) of a body that falls freely by ``FALL_M`` and
+    is at rest ``LANDING_S`` later."""
     free_s = np.sqrt(2.0 * FALL_M / GRAVITY_M_S2)
     rate = np.interp(time_s, 0.5 + np.array([0.0, free_s, free_s + LANDING_S]), [0.0, -GRAVITY_M_S2 * free_s, 0.0])
     return _summed(rate, time_s)[:, None] * np.array([0.0, 1.0, 0.0])
@@ -78,7 +81,8 @@ MADE = (SPIN, *WAYS)
 
 
 def made_clip(name: str, body: BodyModel, fps: float, seconds: float, turns_per_s: float = TURNS_PER_S) -> CaseClip:
-    """The clip ``name`` of ``MADE``."""
+    """Returns the clip ``name`` of ``MADE``, ``seconds`` long: ``body`` with lowered arms, turning or moving as that
+    name says."""
     time_s = np.arange(round(seconds * fps)) / fps
     poses = np.zeros((len(time_s), 24, 3))
     poses[:, 16, 2], poses[:, 17, 2] = -1.1, 1.1
@@ -103,10 +107,9 @@ COLUMNS = {
 
 
 def swung(scene: CaseScene, static: np.ndarray, *, folds: int) -> tuple[np.ndarray, float]:
-    """Returns ``static`` [m] (F, V, 3) with swing and with ``folds`` steps of folds on that, and the median processor
-    time [ms] of the swing.
-    """
-    clip, memory, folded, clock, found = scene.clip, None, None, Clock(), []
+    """Returns the drapes ``static`` [m] (F, V, 3) of ``scene`` after swing and after ``folds`` steps of folds on that,
+    [m] (F, V, 3), and the median processor time [ms] of swing in a frame."""
+    clip, memory, folded, clock, drapes = scene.clip, None, None, Clock(), []
     swinging = swing_constants(scene.garment, scene.body, scene.fabric)
     for i, vertices in enumerate(static):
         x = vertices
@@ -117,24 +120,25 @@ def swung(scene: CaseScene, static: np.ndarray, *, folds: int) -> tuple[np.ndarr
         if folds:
             frame = Frame(x.astype(np.float32), clip.skin[i], i / clip.fps)
             x, folded, _ = fold(scene.constants, folded, frame, FoldEffort(folds))
-        found.append(x)
-    return np.stack(found), float(np.median(clock.cpu_ms))
+        drapes.append(x)
+    return np.stack(drapes), float(np.median(clock.cpu_ms))
 
 
 def simulate_scene(scene: CaseScene, static: np.ndarray) -> tuple[np.ndarray, float]:
-    """The simulator's vertices [m] (F, V, 3) from the first of ``static``, and the share [%] of frames at rest."""
+    """Returns what ``simulate`` returns for the delivered mesh of ``scene``, which begins at the first of the drapes
+    ``static`` [m] (F, V, 3): vertices [m] (F, V, 3), and the share [%] of frames that came to rest."""
     garment, clip, body = scene.garment, scene.clip, scene.body
     mesh = ClothMesh.of(garment.delivered_rest(), garment.faces.astype(np.int64), garment.vertex_count)
-    made = swing_constants(garment, body, scene.fabric)
-    sheet = SimulatedCloth(
-        mesh, Material.of(scene.fabric), scene.fabric.friction, 0.0 if made is None else made.damping_per_s
-    )
+    swings = swing_constants(garment, body, scene.fabric)
+    damping_per_s = 0.0 if swings is None else swings.damping_per_s
+    sheet = SimulatedCloth(mesh, Material.of(scene.fabric), scene.fabric.friction, damping_per_s)
     motion = SimulatedMotion(body, clip.poses, clip.trans, clip.fps)
-    return simulate(sheet, motion, static[0].astype(np.float64), held_by_waist(garment, body, static))
+    return simulate(sheet, motion, static[0].astype(np.float64), anchored_waistband(garment, body, static))
 
 
 def hem_parts(x: np.ndarray, scene: CaseScene) -> np.ndarray:
-    """Middles [m] (F, ``PARTS``, 3) of the hem's parts by their direction at rest."""
+    """Returns the mean places [m] (F, P, 3) of the P parts of the hem of ``x`` (F, V, 3): of the up to ``PARTS`` equal
+    sectors around the body into which its vertices fall at rest."""
     rest = scene.garment.vertices[: scene.garment.vertex_count].astype(np.float64)
     hem = hem_vertices(rest, scene.garment.faces)
     way = rest[hem] - rest[hem].mean(axis=0)
@@ -143,22 +147,22 @@ def hem_parts(x: np.ndarray, scene: CaseScene) -> np.ndarray:
 
 
 def hem_figures(x: np.ndarray, scene: CaseScene, static: np.ndarray, simulator: np.ndarray | None) -> Row:
-    """Returns the figures of the hem in a swinging drape ``x`` [m] (F, V, 3) of ``scene``, against the drape without
-    swing, ``static`` (F, V, 3).
+    """Returns the figures of the hem in a swinging drape ``x`` [m] (F, V, 3) of ``scene``, beside the drape without
+    swing ``static`` (F, V, 3).
 
-    They are its rise [mm], its mean distance from the static hem [mm] and the jitter; how it comes to rest, where the
-    body stops; and the mean distance [mm] from the hem of ``simulator`` (F, V, 3), where that is given.
+    They are its rise [mm], its mean distance from the static hem [mm] and the jitter; ``swinging``, where the body
+    stops before the clip ends; and the mean distance [mm] from the hem of ``simulator`` (F, V, 3), if that is given.
     """
-    still, own = (hem_parts(one.astype(np.float64), scene) for one in (static, x))
-    moved, base = (one.astype(np.float64) + scene.clip.trans[:, None] for one in (x, static))
+    still, own = (hem_parts(drape.astype(np.float64), scene) for drape in (static, x))
+    moved, base = (drape.astype(np.float64) + scene.clip.trans[:, None] for drape in (x, static))
     height = own[..., 1].mean(axis=1)
     row = {
         "rise_mm": 1e3 * float((height - height[:STILL_FRAMES].mean()).max()),
         "hem_mm": 1e3 * float(np.linalg.norm(own - still, axis=-1).mean()),
         "jitter_ratio": jitter_ratio(moved, base),
     }
-    placed = np.concatenate([scene.clip.poses.reshape(len(x), -1), scene.clip.trans], axis=1)
-    rests = 1 + np.flatnonzero(np.diff(placed, axis=0).any(axis=1))
+    places = np.concatenate([scene.clip.poses.reshape(len(x), -1), scene.clip.trans], axis=1)
+    rests = 1 + np.flatnonzero(np.diff(places, axis=0).any(axis=1))
     if len(rests) and rests[-1] < len(x) - 1:
         row |= swinging(own[rests[-1] :], scene.clip.fps)
     if simulator is not None:
@@ -167,11 +171,12 @@ def hem_figures(x: np.ndarray, scene: CaseScene, static: np.ndarray, simulator: 
 
 
 def measure_scene(scene: CaseScene, network: ModelDrape, *, simulator: bool) -> list[Row]:
-    """The rows of a scene, beside a simulation where ``simulator`` asks for one."""
-    garment, clip, made = scene.garment, scene.clip, network.made_of(scene.fabric)
-    static = made.drape(garment, clip.poses)
+    """Returns a row for each method of ``scene``: static, network, swing, swing_folds and, if ``simulator`` is true,
+    the simulator, with shares of its figures."""
+    garment, clip, of_fabric = scene.garment, scene.clip, network.made_of(scene.fabric)
+    static = of_fabric.drape(garment, clip.poses)
     delivered = static.vertices[:, : garment.vertex_count]
-    learned = made.moving(garment, clip.poses, clip.trans, clip.fps)[:, : garment.vertex_count] + static.root
+    learned = of_fabric.moving(garment, clip.poses, clip.trans, clip.fps)[:, : garment.vertex_count] + static.root
     swinging, ms = swung(scene, delivered, folds=0)
     drapes = {"static": delivered, "network": learned, "swing": swinging}
     drapes["swing_folds"], _ = swung(scene, delivered, folds=2)
@@ -198,9 +203,9 @@ def measure_scene(scene: CaseScene, network: ModelDrape, *, simulator: bool) -> 
 def of_other_scenes(rows: list[Row]) -> list[Row]:
     """Returns the rows of the record ``swing.json`` whose scene is that of none of ``rows``."""
     path = RESULTS_DIR / "swing.json"
-    kept = json.loads(path.read_text())["rows"] if path.is_file() else []
+    stored = json.loads(path.read_text())["rows"] if path.is_file() else []
     own = {tuple(row[name] for name in SCENE) for row in rows}
-    return [row for row in kept if tuple(row[name] for name in SCENE) not in own]
+    return [row for row in stored if tuple(row[name] for name in SCENE) not in own]
 
 
 @Benchmark(
@@ -214,12 +219,13 @@ def of_other_scenes(rows: list[Row]) -> list[Row]:
     Option("--no-simulator", False, "without the simulator, which takes minutes", True),
 )
 def main(run: Run) -> None:
-    """Adds to ``run`` the rows of every garment in every fabric over every clip."""
+    """Adds to ``run`` the rows of every garment in every fabric over every clip, and those of the record of other
+    scenes."""
     options, body = run.options, load_body()
     network = ModelDrape.asked(options, body, passes=0)
     others = [name for name in options.motions if name not in MADE]
-    made = [name for name in MADE if name in options.motions]
-    clips = [made_clip(name, body, FPS, options.seconds, options.rate) for name in made]
+    own = [name for name in MADE if name in options.motions]
+    clips = [made_clip(name, body, FPS, options.seconds, options.rate) for name in own]
     frames = round(options.seconds * FPS)
     clips += [CaseClip.read(path, FPS, frames, body) for path in (find_motions(others) if others else ())]
     for path in find_garments(options.garments):

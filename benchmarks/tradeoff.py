@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cases import CaseScene, fabrics_option, read_case_clips, scenes
+from benchmarks.cases import CaseScene, read_case_clips, scenes
 from benchmarks.harness import Benchmark, Option, Run, finite, inputs, machine
 from benchmarks.measure import physics_bound
 from benchmarks.measure.intersections import intersection_count
@@ -33,7 +33,7 @@ from benchmarks.measure.physics_bound import Bound
 from benchmarks.model_drape import ModelDrape
 from benchmarks.served import Stream
 from benchmarks.speed.skinning_push import SkinningPush
-from benchmarks.stills import stills_of
+from benchmarks.stills import looks_of
 from benchmarks.stopwatch import Clock
 from benchmarks.tables import Row, text_table
 from drape.artifacts import load_manifest, model_folder
@@ -47,7 +47,7 @@ from service.settings import Settings
 PASSES = (0, 1, None)
 STARTS = {"network_0": 0, "network_all": None}  # which the optimum is looked for from, besides skinning
 CROSSED = 2  # of the frames with an optimum, whose crossings are counted
-TAKEN = ("energy_j", "edge_pct", "jitter_ratio", "colliding_pct", "skin_pixels_pct")  # of the referee's figures
+FIGURES = ("energy_j", "edge_pct", "jitter_ratio", "colliding_pct", "skin_pixels_pct")  # those of physics_bound
 DETAIL_MOST = 1.2  # of physics' detail: more is a texture that physics does not have, and gain does not see it
 SMOOTHER = 0.75  # of the way from the curvature of ``fast`` to that of the last tier, for the one between
 AS_CHEAP = 1.05  # times of one run are no surer than that
@@ -65,17 +65,17 @@ MEANS = ("p50_ms", "p95_ms", "cpu_ms", "time_ratio", "gain", "curvature", "error
 
 @dataclass(frozen=True)
 class Knobs:
-    """One combination: ``passes`` of the network, None all; steps of ``folds``, 0 the lift alone; whether a ``coarse``
-    cloth takes them."""
+    """A choice of what runs: ``passes`` of the network, all if None; steps of ``folds``, for 0 the lift alone; and
+    whether a ``coarse`` cloth takes these."""
 
     passes: int | None
     folds: int
     coarse: bool
 
     def options(self, pass_count: int, **others: Any) -> DrapeOptions:
-        """Returns the options of a request with these knobs, for cloth that does not swing.
+        """Returns the options of a request with these knobs and ``others``, for cloth that does not swing.
 
-        ``pass_count`` is the number of passes that the model has, and ``others`` are further options.
+        ``pass_count`` is the number of passes that the model has.
         """
         passes = pass_count if self.passes is None else self.passes
         if not self.folds:
@@ -90,7 +90,8 @@ class Knobs:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A scene and the physics that it is measured by; ``skinned`` [m] (F, V, 3) is skinning with its push."""
+    """A scene with the two ends of the axis on which its drapes are measured: ``skinned`` [m] (F, V, 3), skinning with
+    the nearest-vertex push, and ``least``, physics."""
 
     scene: CaseScene
     skinned: np.ndarray
@@ -98,58 +99,59 @@ class Case:
 
     @classmethod
     def of(cls, scene: CaseScene, networks: dict[str, ModelDrape], *, keeps_apart: bool = True) -> Case:
-        """Returns ``scene`` with its physics, whose search starts from the last of ``networks``; ``keeps_apart``: of
-        cloth that does not pass through itself.
-        """
+        """Returns ``scene`` with its physics, which is computed from the drape of the last of ``networks``, or found in
+        the cache. With ``keeps_apart`` cloth does not pass through itself."""
         starts = scene.starts(networks)
         return cls(scene, starts["skinning"], physics_bound.bound(scene, starts, keeps_apart=keeps_apart))
 
     def row(self, vertices: np.ndarray, start: np.ndarray) -> Row:
-        """Returns the row of the clip's ``vertices`` [m] (F, V, 3), with jitter relative to ``start`` (F, V, 3)
-        (``physics_bound``).
-        """
+        """Returns the measures of a drape ``vertices`` [m] (F, V, 3) of the clip, beside skinning and physics; jitter
+        is over that of ``start`` (F, V, 3)."""
         judge, measured = self.least.judge, self.scene.clip.measured[self.least.few]
-        found, seen = physics_bound.figures(judge, vertices, start, measured), vertices[measured].astype(np.float64)
-        looks = stills_of(self.scene.garment)
+        figures, drapes = physics_bound.figures(judge, vertices, start, measured), vertices[measured].astype(np.float64)
+        looks = looks_of(self.scene.garment)
         return {
             **self.scene.name,
-            **self.least.compare(found, self.plain),
-            "curvature": float((looks.curvature(seen) / looks.curvature(self.least.vertices)).mean()),
-            "error_mm": 1e3 * float(np.linalg.norm(seen - self.least.vertices, axis=-1).mean()),
-            "self_intersections": float(intersection_count(seen[:CROSSED], judge.cloth.faces).mean()),
-            **{name: found[name] for name in TAKEN},
+            **self.least.compare(figures, self.plain),
+            "curvature": float((looks.curvature(drapes) / looks.curvature(self.least.vertices)).mean()),
+            "error_mm": 1e3 * float(np.linalg.norm(drapes - self.least.vertices, axis=-1).mean()),
+            "self_intersections": float(intersection_count(drapes[:CROSSED], judge.cloth.faces).mean()),
+            **{name: figures[name] for name in FIGURES},
         }
 
     @cached_property
     def plain(self) -> Row:
-        """The measures of skinning, where a gain is 0."""
+        """The ``physics_bound.figures`` of skinning with its push, whose gain is 0."""
         return physics_bound.figures(
             self.least.judge, self.skinned, self.skinned, self.scene.clip.measured[self.least.few]
         )
 
 
 def measure_knobs(case: Case, drapery: DrapeRuntime, knobs: Sequence[Knobs]) -> list[Row]:
-    """The rows of ``case``: all ``knobs``, the rival, and physics."""
+    """Returns the rows of ``case``, with times and measures: one for each of ``knobs``, one for the rival, and one for
+    physics."""
     clip, body, garment = case.scene.clip, case.scene.body, case.scene.garment
     scene, count = drapery.garments.add(garment, "user"), drapery.engine.pass_count
-    plans = [drapery.plan(scene, one.options(count, fabric=case.scene.fabric.name)) for one in knobs]
+    plans = [drapery.plan(scene, choice.options(count, fabric=case.scene.fabric.name)) for choice in knobs]
     for plan in plans:
         drapery.add_missing(plan)
     streams = [Stream(plan, body.shape_count) for plan in plans]
     rival, clock = SkinningPush(garment, body), Clock()
     vertices: list[list[np.ndarray]] = [[] for _ in range(len(plans) + 1)]
-    for stream, found in zip(streams, vertices, strict=False):
+    for stream, drapes in zip(streams, vertices, strict=False):
         for frame, pose in enumerate(clip.poses):
-            found.append(stream.pose(pose, frame / clip.fps).world()[0])
+            drapes.append(stream.pose(pose, frame / clip.fps).world()[0])
     for pose in clip.poses:
         with clock:
             pushed = rival.push(rival.skin(pose[None]), pose[None])
         vertices[-1].append(pushed[0] + body.joints_template[0])
     start = np.stack(vertices[0])  # the network and its lift
-    named = [*({"tier": "", "knobs": str(one), **asdict(one)} for one in knobs), {"tier": "skinning_push", "knobs": ""}]
+    names: list[Row] = [{"tier": "", "knobs": str(choice), **asdict(choice)} for choice in knobs]
+    names.append({"tier": "skinning_push", "knobs": ""})
+    clocks = [*(stream.clock for stream in streams), clock]
     rows = [
-        name | times(one) | case.row(np.stack(found), start)
-        for name, one, found in zip(named, [*(stream.clock for stream in streams), clock], vertices, strict=True)
+        name | times(own) | case.row(np.stack(drapes), start)
+        for name, own, drapes in zip(names, clocks, vertices, strict=True)
     ]
     physics = {"gain": 1.0, "curvature": 1.0, "detail_share": 1.0, "error_mm": 0.0, "energy_j": case.least.energy_j}
     took = {"tier": "physics", "knobs": "", "cpu_ms": 1e3 * case.least.processor_s}
@@ -161,10 +163,7 @@ def measure_knobs(case: Case, drapery: DrapeRuntime, knobs: Sequence[Knobs]) -> 
 
 def times(clock: Clock) -> dict[str, float]:
     """Returns the median and the 95th percentile of the wall time [ms] of a frame and the median of its processor time
-    [ms].
-
-    The first frame, which has no past, does not count.
-    """
+    [ms], without the first frame, which has no past."""
     wall, cpu = clock.wall_ms[1:], clock.cpu_ms[1:]
     return {
         "p50_ms": float(np.median(wall)),
@@ -174,33 +173,33 @@ def times(clock: Clock) -> dict[str, float]:
 
 
 def means(rows: Sequence[Row]) -> list[Row]:
-    """One row for each combination and each end of the axis: the mean over what was measured; ``pareto`` where nothing
-    is both as cheap and better."""
-    found: list[Row] = []
+    """Returns a row for each combination of knobs, for the rival and for physics: the means of ``rows``, and
+    ``pareto``, which is true where nothing else has a higher gain in as little time."""
+    summary: list[Row] = []
     for tier, knobs in dict.fromkeys((row["tier"], row["knobs"]) for row in rows):
         same = [row for row in rows if (row["tier"], row["knobs"]) == (tier, knobs)]
         first = {name: same[0].get(name) for name in ("tier", "knobs", *KNOBS)} | {"cases": len(same)}
-        kept = {name: [row[name] for row in same if np.isfinite(row.get(name, np.nan))] for name in MEANS}
+        known = {name: [row[name] for row in same if np.isfinite(row.get(name, np.nan))] for name in MEANS}
         worst = {"gain_p05": float(np.percentile([row["gain"] for row in same], 5.0))}
-        found.append(first | {name: float(np.mean(values)) for name, values in kept.items() if values} | worst)
-    for row in found:
+        summary.append(first | {name: float(np.mean(values)) for name, values in known.items() if values} | worst)
+    for row in summary:
         row["pareto"] = not any(
-            other["time_ratio"] <= row["time_ratio"] and other["gain"] > row["gain"] for other in found
+            other["time_ratio"] <= row["time_ratio"] and other["gain"] > row["gain"] for other in summary
         )
-    return found
+    return summary
 
 
 def tiers_of(mean: Sequence[Row]) -> list[Row]:
-    """A row of ``mean`` for each tier.
+    """Returns four rows of ``mean``, one for each tier from the least to the most. Raises ``InputError`` where ``mean``
+    has none with folds or none without.
 
-    The least, ``instant``, is the cheapest without folds that has ``LIFTED`` of what all corrections gain; the next
-    one, ``fast``, the cheapest with folds. The last folds all vertices, without more than ``DETAIL_MOST``: gain does
-    not see fine folds and crossings. It is the one of these that gains most. The one between it and ``fast`` is the
-    cheapest that has at least half of what the last gains over ``fast``, and ``SMOOTHER`` of its way to less curvature,
-    which the eye sees first. Of those at most ``AS_CHEAP`` times as dear as the cheapest it is the one with the least
-    curvature. A tier's folds, and its passes under folds, are never less than those of the one below, and none is
-    coarse above a fine one. Times are compared with each other alone, so that the rule gives the same tiers on
-    processors on which the rival is faster or slower than here.
+    ``instant`` is the cheapest without folds that has ``LIFTED`` of what all corrections gain, ``fast`` the cheapest
+    with folds. ``accurate`` folds all vertices and has no more detail than ``DETAIL_MOST``, because gain does not see
+    fine folds and crossings; it gains the most of these. ``balanced`` is the cheapest with at least half of what
+    ``accurate`` gains over ``fast``, and ``SMOOTHER`` of its way to less curvature, which the eye sees first; among
+    those at most ``AS_CHEAP`` times as dear it is the one with the least curvature. A tier's folds, and its passes
+    under folds, are never less than those of the one below, and none is coarse above a fine one. Times are compared
+    with each other alone, so that the rule gives the same tiers on processors on which the rival is faster or slower.
     """
     by_order = sorted(mean, key=lambda row: row["time_ratio"])
     lifted = [row for row in by_order if row.get("folds") == 0]
@@ -226,10 +225,11 @@ def _covers(row: Row, below: Row) -> bool:
 
 
 def manifest_tiers(chosen: Sequence[Row], where: dict[str, Any]) -> list[Row]:
-    """Rows of ``drape.stages.tiers.Tier`` with their figures; without folds the two least tiers have the passes of
-    the least, the others all."""
+    """Returns the tiers of a manifest, fields of ``drape.stages.tiers.Tier`` by name, for the rows ``chosen`` of
+    ``tiers_of``. The figures of each are those of its row and ``where``, more figures by name. Without folds the two
+    least tiers have the passes of the least one, the others all."""
     alone, above = (row["passes"] for row in chosen[:2])
-    kept = (
+    figures = (
         "time_ratio",
         "cpu_ms",
         "gain",
@@ -248,7 +248,7 @@ def manifest_tiers(chosen: Sequence[Row], where: dict[str, Any]) -> list[Row]:
                     row["passes"] if i else above,
                     row["folds"],
                     None if i > 1 else alone,
-                    {key: row[key] for key in kept} | where,
+                    {key: row[key] for key in figures} | where,
                     row["coarse"],
                 )
             )
@@ -258,14 +258,16 @@ def manifest_tiers(chosen: Sequence[Row], where: dict[str, Any]) -> list[Row]:
 
 
 def write_tiers(folder: Path, tiers: list[Row]) -> None:
-    """Puts ``tiers`` into the manifest of the model ``folder``; refuses (``ArtifactError``) what the service would."""
+    """Writes ``tiers`` into the manifest of the model ``folder``. Raises ``ArtifactError`` where the service would not
+    take them."""
     read_tiers(tiers)
     manifest = replace(load_manifest(folder), tiers=tiers)
     (folder / "manifest.json").write_text(manifest.to_json())
 
 
 def combinations(steps: Sequence[int]) -> list[Knobs]:
-    """The combinations with each number of ``steps``, of the coarse cloth and of the fine one."""
+    """Returns the combinations of ``PASSES`` with no folds, and with each number of ``steps`` of folds on the coarse
+    cloth and on the fine one."""
     lifted = [Knobs(passes, 0, coarse=True) for passes in PASSES]
     return lifted + [Knobs(passes, n, coarse) for coarse in (True, False) for passes in PASSES for n in steps]
 
@@ -275,13 +277,14 @@ def combinations(steps: Sequence[int]) -> list[Knobs]:
     "Speed against accuracy.",
     COLUMNS,
     *inputs(("tshirt", "dress", "trousers"), ("walk", "squat"), quick_garments=("tshirt",), quick_motions=("walk",)),
-    fabrics_option("jersey", "denim", "satin"),
+    Option("--fabrics", ("jersey", "denim", "satin"), "what garments are made of", ("jersey",)),
     Option("--folds", (2, 4, 5), "steps of folds", (1, 2)),
     Option("--frames", 48, "of a clip at most", 8),
     Option("--write", False, "put the tiers into the model's manifest"),
 )
 def main(run: Run) -> None:
-    """Adds to ``run`` the rows of every scene, their means, and the tiers."""
+    """Adds to ``run`` the rows of every scene, and to its record their means and the tiers; with ``--write`` puts the
+    tiers into the model's manifest."""
     options, body = run.options, load_body()
     folder = model_folder(options.model)
     drapery = DrapeRuntime(Settings(model=str(folder), threads=options.threads), body=body)

@@ -24,7 +24,7 @@ from model_export.folder import add_push_out, write_quality
 
 @refusing
 def main() -> int:
-    """Command line entry."""
+    """Runs the command line. Returns 0, or 2 after a refusal, whose sentence it prints."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("checkpoint", type=Path, nargs="?")
     parser.add_argument("target", type=Path)

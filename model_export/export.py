@@ -40,7 +40,11 @@ from training.onefit import OneFit
 
 
 def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
-    """The network of a checkpoint in evaluation mode, and the manifest's entry on its training."""
+    """Returns the network of the checkpoint at ``path``, in evaluation mode, and the manifest's entry on its training:
+    steps, frames, minutes, garments, and what was held out.
+
+    Raises ``ArtifactError`` where the file is no checkpoint.
+    """
     state, config = checkpoint.load_checkpoint(path)
     model = OneFit(config.model)
     model.load_state_dict(state["model"])
@@ -64,7 +68,12 @@ def export(
     training: dict[str, Any],
     quality: list[dict[str, Any]] | None = None,
 ) -> Manifest:
-    """Writes ``target`` and returns its manifest; above ``TOLERANCE_M`` it refuses and leaves the old folder."""
+    """Writes ``model`` as the model folder ``target`` and returns its manifest, which holds ``training`` and the rows
+    ``quality``.
+
+    Raises ``ArtifactError`` where a vertex of ``garment``, draped by torch and by ONNX Runtime, differs by more than
+    ``TOLERANCE_M``. The folder then stays as it was.
+    """
     model.eval()
     with staged_folder(target) as staged:
         graphs, weights = share_weights(staged, write_graphs(model, staged), parameters(model))
@@ -95,34 +104,38 @@ def export(
 
 
 def static_training(model: OneFit, folder: Path) -> dict[str, Any]:
-    """The training of the static part of a dynamic ``model``, under "static", as the model in ``folder`` tells it.
+    """Returns {"static": entry} for a dynamic ``model``: what the manifest in ``folder`` says of the training of its
+    static network.
 
-    Empty where the static weights there are others.
+    Returns {} for a static ``model``, and where ``folder`` has other static weights or no model.
     """
     if not model.config.dynamic or not (folder / "manifest.json").is_file():
         return {}
     manifest = load_manifest(folder)
-    kept = read_parameters(folder, manifest.weights) if manifest.weights is not None else {}
+    theirs = read_parameters(folder, manifest.weights) if manifest.weights is not None else {}
     ours = {name: value for name, value in parameters(model).items() if not name.startswith("dynamic.")}
-    if not all(name in kept and np.array_equal(kept[name], value) for name, value in ours.items()):
+    if not all(name in theirs and np.array_equal(theirs[name], value) for name, value in ours.items()):
         return {}
     return {"static": manifest.training.get("static", manifest.training)}
 
 
 def sizes(model: OneFit) -> dict[str, Any]:
-    """The configuration of ``model`` for JSON, with lists for tuples."""
-    found = asdict(model.config)
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in found.items()}
+    """Returns the fields of the configuration of ``model`` by name, with lists for tuples, as JSON has them."""
+    fields = asdict(model.config)
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in fields.items()}
 
 
 def parameters(model: OneFit) -> dict[str, np.ndarray]:
-    """Everything that the state of ``model`` holds, by name."""
+    """Returns the parameters and buffers of ``model`` by their names in its state; the arrays share their memory."""
     return {name: value.numpy() for name, value in model.state_dict().items()}
 
 
 def write_graphs(model: OneFit, folder: Path) -> dict[str, GraphSpec]:
-    """Writes every graph of ``model`` into ``folder``; the packed one where its representation is vector jets."""
-    packs = model.config.variant == "vector"
+    """Writes every graph of ``model`` into ``folder`` as ``NAME.onnx``; returns the manifest's entries by name.
+
+    Only a network of vector jets has the graph "packed", and only a dynamic one "dynamic_encoder".
+    """
+    packs = model.config.vector
     encoder = (FirstGraph(model), first_outputs(model)) if packs else (EncoderGraph(model), encoder_outputs(model))
     parts = {
         "garment_encoder": (encoder[0], encoder_inputs(model), encoder[1]),
@@ -137,7 +150,7 @@ def write_graphs(model: OneFit, folder: Path) -> dict[str, GraphSpec]:
 
 
 def commit() -> str:
-    """The commit of the working tree, or "unknown" outside a checkout."""
+    """Returns the short hash of the commit that is checked out, or "unknown" outside a checkout."""
     import subprocess
 
     done = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
@@ -145,5 +158,5 @@ def commit() -> str:
 
 
 def command_line() -> str:
-    """The command line of this program, without folders of this machine."""
+    """Returns the command line of this program, each path in it cut to its last part."""
     return " ".join(["python -m model_export", *(Path(a).name if "/" in a else a for a in sys.argv[1:])])

@@ -16,7 +16,7 @@ from model_export.shared_weights import share_weights
 
 
 def write_quality(folder: Path, rows: list[dict[str, Any]]) -> None:
-    """Replaces the quality table of an exported model; its graphs stay as they are."""
+    """Writes ``rows`` of ``benchmarks.quality`` into the manifest of the model ``folder``, in place of those there."""
     _write_manifest(folder, replace(load_manifest(folder), quality=rows))
 
 
@@ -26,7 +26,12 @@ def _write_manifest(folder: Path, manifest: Manifest) -> None:
 
 
 def add_push_out(folder: Path, garment: Garment) -> Manifest:
-    """Writes the push-out's graphs into a model folder that exists; no bit of its other graphs' results changes."""
+    """Writes the graphs of the push-out into the model ``folder``, which exists; returns its new manifest. The results
+    of its other graphs keep every bit.
+
+    Raises ``ArtifactError`` where these graphs and NumPy move a vertex of ``garment`` to places more than
+    ``TOLERANCE_M`` apart. The folder then stays as it was.
+    """
     manifest = load_manifest(folder)
     with staged_folder(folder) as staged:
         shutil.copytree(folder, staged, dirs_exist_ok=True)
@@ -38,9 +43,9 @@ def add_push_out(folder: Path, garment: Garment) -> Manifest:
 
 
 def _with_graphs(folder: Path, manifest: Manifest, specs: dict[str, GraphSpec]) -> Manifest:
-    """``manifest`` with the graphs ``specs`` added, whose files lie in ``folder``; written there."""
-    kept = read_parameters(folder, manifest.weights) if manifest.weights is not None else None
-    graphs, weights = share_weights(folder, manifest.graphs | specs, kept)
+    """Returns ``manifest`` with the graphs ``specs`` added, whose files lie in ``folder``; it is written there too."""
+    parameters = read_parameters(folder, manifest.weights) if manifest.weights is not None else None
+    graphs, weights = share_weights(folder, manifest.graphs | specs, parameters)
     changed = replace(manifest, graphs=graphs, weights=weights)
     _write_manifest(folder, changed)
     return changed

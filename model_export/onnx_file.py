@@ -39,7 +39,8 @@ def write_graph(
     """Writes ``module`` as the ONNX file ``path``, with the names and the symbolic axes of ``inputs`` and ``outputs``.
     Returns its entry in the manifest.
 
-    The module takes its inputs as one dictionary by name, as an ONNX session does.
+    The module takes its inputs as one dictionary by name, as an ONNX session does. ``translations`` are writers of
+    ONNX by torch operator. Raises ``ArtifactError`` where the exporter fixed the length of a symbolic axis.
     """
     named = {axis for spec in inputs for axis in spec.shape if isinstance(axis, str)}
     axes = {name: torch.export.Dim(name, min=1, max=MOST) for name in sorted(named)}
@@ -92,22 +93,22 @@ def _settle_lengths(graph: onnx.GraphProto, inputs: tuple[TensorSpec, ...]) -> N
 
 
 def _check_symbolic(
-    proto: onnx.ModelProto, inputs: tuple[TensorSpec, ...], outputs: tuple[TensorSpec, ...], where: str
+    proto: onnx.ModelProto, inputs: tuple[TensorSpec, ...], outputs: tuple[TensorSpec, ...], file: str
 ) -> None:
     """Raises unless every axis that the specification names is symbolic in the graph, and no other."""
     for specs, values in ((inputs, proto.graph.input), (outputs, proto.graph.output)):
         for spec, value in zip(specs, values, strict=True):
             axes = value.type.tensor_type.shape.dim
-            got = tuple(axis.dim_param if axis.HasField("dim_param") else axis.dim_value for axis in axes)
-            fits = value.name == spec.name and len(got) == len(spec.shape)
+            shape = tuple(axis.dim_param if axis.HasField("dim_param") else axis.dim_value for axis in axes)
+            fits = value.name == spec.name and len(shape) == len(spec.shape)
             fits = fits and all(
                 isinstance(have, str) if isinstance(want, str) else have == want
-                for want, have in zip(spec.shape, got, strict=True)
+                for want, have in zip(spec.shape, shape, strict=True)
             )
             if not fits:
                 raise ArtifactError(
-                    f"{where} {spec.name}",
+                    f"{file} {spec.name}",
                     expected=f"shape {spec.shape}",
-                    got=f"{value.name} {got}",
+                    got=f"{value.name} {shape}",
                     cure="An axis was baked in at export: use an odd sample size.",
                 )

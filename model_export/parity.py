@@ -36,13 +36,15 @@ FIND = "Do not ship this export; find the operator that differs."
 
 
 def check_parity(name: str, error: float, largest: float, between: str, *, cure: str = FIND) -> None:
-    """Refuses (``ArtifactError``) an ``error`` of ``name`` above ``largest``, and one that is no number."""
+    """Raises ``ArtifactError`` where ``error`` [m] is above ``largest`` [m] or NaN. Its message says of what (``name``)
+    and ``between`` which two, and the ``cure``."""
     if not error <= largest:
         raise ArtifactError(name, expected=f"at most {largest} m {between}", got=f"{error:.3g} m", cure=cure)
 
 
 def parity_poses(count: int, *, seed: int = 0) -> np.ndarray:
-    """Poses (count, 24, 3) [rad]: the rest pose, strong random ones, and one with half turns."""
+    """Returns poses (count, 24, 3) [rad]: the rest pose first, last the rest pose with the left shoulder turned by half
+    a turn, and between them random ones, drawn from ``seed`` with a deviation of 0.45 rad."""
     rng = np.random.default_rng(seed)
     poses = rng.normal(0.0, 0.45, size=(count, 24, 3))
     poses[0] = 0.0
@@ -52,7 +54,8 @@ def parity_poses(count: int, *, seed: int = 0) -> np.ndarray:
 
 
 def session(path: Path) -> onnxruntime.InferenceSession:
-    """A CPU session on ``path``, quiet unless something is wrong, in whose threads subnormal numbers are zero."""
+    """Returns an ONNX Runtime session of the graph at ``path`` on the processor. It logs errors alone, and subnormal
+    numbers are zero in its threads."""
     options = onnxruntime.SessionOptions()
     options.add_session_config_entry("session.set_denormal_as_zero", "1")
     options.log_severity_level = 3
@@ -62,7 +65,8 @@ def session(path: Path) -> onnxruntime.InferenceSession:
 
 @flushed()
 def parity_error(model: OneFit, encoder: Path, drape: Path, garment: Garment) -> float:
-    """Largest vertex distance [m] between torch and onnxruntime, over frame counts 1, 5, 16 and several shapes."""
+    """Returns the largest distance [m] of a vertex between the drape of torch and that of ONNX Runtime, over batches of
+    1, 5 and 16 poses, each batch on a body shape of its own."""
     body = load_body()
     encode, run = session(encoder), session(drape)
     features = encoder_features(garment, model.config.encoder_feature_count)
@@ -85,14 +89,15 @@ def parity_error(model: OneFit, encoder: Path, drape: Path, garment: Garment) ->
         arrays["dynamic_code"] = rng.normal(0.0, 0.3, size=(count, model.config.body_code_size)).astype(np.float32)
         with torch.no_grad():
             expected = DrapeGraph(model)({name: torch.from_numpy(arrays[name]) for name in names})[0].numpy()
-        got = run.run(["vertices"], {name: arrays[name] for name in names} | {"patch_embedding": stored})[0]
-        worst = max(worst, float(np.linalg.norm(got - expected, axis=-1).max()))
+        draped = run.run(["vertices"], {name: arrays[name] for name in names} | {"patch_embedding": stored})[0]
+        worst = max(worst, float(np.linalg.norm(draped - expected, axis=-1).max()))
     return worst
 
 
 @flushed()
 def sequence_error(model: OneFit, folder: Path, graphs: dict[str, GraphSpec], garment: Garment) -> float:
-    """Largest vertex distance [m] along a motion with uneven steps and a stop, each side carrying its own state."""
+    """Returns the largest distance [m] of a vertex between torch and ONNX Runtime along a motion with uneven time steps
+    and a stop. Each of the two goes on from a recurrent state of its own."""
     body = load_body()
     rng = np.random.default_rng(3)
     dt_s = rng.choice([1 / 60, 1 / 30, 1 / 12], size=SEQUENCE_FRAMES - 1)
@@ -122,8 +127,8 @@ def sequence_error(model: OneFit, folder: Path, graphs: dict[str, GraphSpec], ga
             tensors = {name: torch.from_numpy((arrays | {"dynamic_code": code})[name]) for name in names}
             expected = DrapeGraph(model)(tensors)[0].numpy()
         code, states[1] = map(np.asarray, advance.run(["dynamic_code", "next_state"], {**moved, "state": states[1]}))
-        got = run.run(["vertices"], {name: (arrays | {"dynamic_code": code})[name] for name in names})[0]
-        worst = max(worst, float(np.linalg.norm(got - expected, axis=-1).max()))
+        draped = run.run(["vertices"], {name: (arrays | {"dynamic_code": code})[name] for name in names})[0]
+        worst = max(worst, float(np.linalg.norm(draped - expected, axis=-1).max()))
     return worst
 
 
@@ -132,7 +137,9 @@ BATCH_FRAMES = 5
 
 @flushed()
 def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Garment) -> float:
-    """Largest vertex distance [m] of one batch: hard poses of two body shapes, the garment in three sizes of itself."""
+    """Returns the largest distance [m] of a vertex between the packed graph in ONNX Runtime and the readable one in
+    torch, in one mixed batch: poses of two body shapes, and the garment whole, as its first half and as its first
+    hundredth of the vertices."""
     body = load_body()
     feeds = [_first_vertices(garment_feed(garment, body=body), share) for share in (1.0, 0.5, 0.01)]
     features = encoder_features(garment, model.config.encoder_feature_count)
@@ -143,7 +150,7 @@ def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Gar
         garments.append(packed_garment)
         places.append(Place(patch, tile))
         patch, tile = patch + packed_garment.patch_count, tile + packed_garment.tile_count
-    stored = {name: np.concatenate([one.stored[name] for one in garments]) for name in garments[0].stored}
+    stored = {name: np.concatenate([item.stored[name] for item in garments]) for name in garments[0].stored}
     poses = parity_poses(BATCH_FRAMES, seed=3)
     betas = [np.zeros(body.shape_count), np.random.default_rng(0).normal(size=body.shape_count)]
     shape_of = [frame % 2 for frame in range(BATCH_FRAMES)]
@@ -157,7 +164,7 @@ def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Gar
     if model.config.dynamic:
         drawn = np.random.default_rng(1).normal(size=(BATCH_FRAMES, model.config.body_code_size)).astype(np.float32)
         code["dynamic_code"] = drawn if "dynamic_code" in names else 0.0 * drawn
-    got = _run(packed, bodies | stored | composition.arrays | code)
+    draped = _run(packed, bodies | stored | composition.arrays | code).reshape(-1, 3)
 
     with torch.no_grad():
         embedding = EncoderGraph(model)({"patch_features": torch.from_numpy(features)}).numpy()
@@ -168,7 +175,7 @@ def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Gar
         arrays |= {name: value[frame : frame + 1] for name, value in code.items()}
         with torch.no_grad():
             expected = DrapeGraph(model)({name: torch.from_numpy(arrays[name]) for name in names})[0].numpy()
-        worst = max(worst, float(np.linalg.norm(got.reshape(-1, 3)[place] - expected[0], axis=-1).max()))
+        worst = max(worst, float(np.linalg.norm(draped[place] - expected[0], axis=-1).max()))
     return worst
 
 
@@ -188,7 +195,8 @@ Case = tuple[dict[str, np.ndarray], np.ndarray]  # inputs of a graph by name, an
 
 
 def push_case(garment: Garment, poses: np.ndarray, clearance_m: float = CLEARANCE_M) -> Case:
-    """The push-out of ``garment``, skinned in ``poses`` (F, 24, 3)."""
+    """Returns the inputs by name of the graph "push_out" for ``garment``, skinned in ``poses`` (F, 24, 3) [rad], and
+    the vertices [m] (F, V, 3) as NumPy pushes them out."""
     drapes, skin = _skinned(garment, poses, clearance_m), body_skin(load_body())
     feed = pack_push(garment_feed(garment), garment.vertices[: garment.vertex_count], skin)
     expected = push_out(drapes.vertices, drapes.samples(), feed, np.float32(clearance_m))
@@ -196,7 +204,8 @@ def push_case(garment: Garment, poses: np.ndarray, clearance_m: float = CLEARANC
 
 
 def layer_case(outer: Garment, inner: Garment, poses: np.ndarray, clearance_m: float = CLEARANCE_M) -> Case:
-    """The push-out of ``outer`` over ``inner``, both skinned in ``poses`` (F, 24, 3)."""
+    """Returns the inputs by name of the graph "push_over" for ``outer`` over ``inner``, both skinned in ``poses``
+    (F, 24, 3) [rad], and the vertices [m] (F, V, 3) of ``outer`` as NumPy pushes them out."""
     drapes, under = _skinned(outer, poses, clearance_m), _skinned(inner, poses, clearance_m).vertices
     rest = outer.vertices[: outer.vertex_count]
     feed = pack_layer(garment_feed(outer), rest, body_skin(load_body()), [sheet(inner)])
@@ -206,14 +215,14 @@ def layer_case(outer: Garment, inner: Garment, poses: np.ndarray, clearance_m: f
 
 @flushed()
 def push_parity_error(folder: Path, garment: Garment) -> float:
-    """Largest vertex distance [m] between numpy and the graphs in ``folder``: of the garment, and of it worn over its
-    like."""
+    """Returns the largest distance [m] of a vertex between NumPy's push-out and that of the graphs in ``folder``, of
+    ``garment`` alone and of ``garment`` worn over itself."""
     poses = parity_poses(3)
     cases = {"push_out": push_case(garment, poses), "push_over": layer_case(garment, garment, poses)}
     worst = 0.0
     for name, (arrays, expected) in cases.items():
-        got = np.asarray(session(folder / f"{name}.onnx").run(["pushed"], arrays)[0])
-        worst = max(worst, float(np.linalg.norm(got - expected, axis=-1).max()))
+        pushed = np.asarray(session(folder / f"{name}.onnx").run(["pushed"], arrays)[0])
+        worst = max(worst, float(np.linalg.norm(pushed - expected, axis=-1).max()))
     return worst
 
 

@@ -74,7 +74,8 @@ def encoder_outputs(model: OneFit) -> tuple[TensorSpec, ...]:
 
 
 class EncoderGraph(nn.Module):
-    """Patch features -> patch embedding; run once per garment."""
+    """The module of the graph that runs once per garment: it computes the embeddings (K, E) of patches from their
+    features (K, D)."""
 
     def __init__(self, model: OneFit) -> None:
         super().__init__()
@@ -85,7 +86,8 @@ class EncoderGraph(nn.Module):
 
 
 class DynamicGraph(nn.Module):
-    """Motion and state of every client -> code to add to its pose's, and its next state; run once per frame."""
+    """The module of the graph that runs once per frame: from the motion features, the state and the time step of each
+    client it computes the code that is added to that of its pose, and its next state."""
 
     def __init__(self, model: OneFit) -> None:
         super().__init__()
@@ -93,23 +95,22 @@ class DynamicGraph(nn.Module):
         self.dynamic = model.dynamic
 
     def forward(self, tensors: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-        given = MotionTensors.from_flat(tensors)
-        return self.dynamic(given.features, given.state, given.dt_s)
+        motion = MotionTensors.from_flat(tensors)
+        return self.dynamic(motion.features, motion.state, motion.dt_s)
 
 
 class DrapeGraph(nn.Module):
-    """The drape graph: it takes ``DrapeTensors`` by name, and returns vertices, the changes of the jets, and posed
-    frames.
-    """
+    """The module of the drape graph: it takes ``DrapeTensors`` by name, and returns the tensors of ``drape_outputs``:
+    vertices, changes of the rest jets, and the rotations and centres of the posed frames."""
 
     def __init__(self, model: OneFit) -> None:
         super().__init__()
         self.model = model
 
     def forward(self, tensors: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        given = DrapeTensors.from_flat(tensors)
-        posed = self.model(given.body, given.patches, given.embedding, given.dynamic_code, charts=given.consensus)
-        vertices = vertex_positions(posed, given.patches, given.charts)
-        if given.skin_weights is not None:
-            vertices = paper_vertices(vertices, given.skin_weights, given.body)
+        inputs = DrapeTensors.from_flat(tensors)
+        posed = self.model(inputs.body, inputs.patches, inputs.embedding, inputs.dynamic_code, charts=inputs.consensus)
+        vertices = vertex_positions(posed, inputs.patches, inputs.charts)
+        if inputs.skin_weights is not None:
+            vertices = paper_vertices(vertices, inputs.skin_weights, inputs.body)
         return vertices, posed.jet, posed.rotation + torch.zeros_like(posed.centre[..., None]), posed.centre

@@ -48,11 +48,11 @@ class _Store:
 def share_weights(
     folder: Path, graphs: dict[str, GraphSpec], parameters: Mapping[str, np.ndarray] | None = None
 ) -> tuple[dict[str, GraphSpec], WeightsSpec | None]:
-    """Rewrites the files of ``graphs`` in ``folder`` around ``weights.bin``; returns their entries in the manifest.
+    """Moves the large tensors of ``graphs``, which are files in ``folder``, into one file ``weights.bin`` there.
+    Returns the manifest's entries of the graphs and of that file; None where there is nothing to put into it.
 
-    The float32 ``parameters`` of the network are found in that file by their content, or added, so that training can
-    go on from it. Without them and where no tensor is large there is no such file, and None.
-    Folders that have one already may be given again.
+    The float32 ``parameters`` of the network by name have their places in that file too, so that training can go on
+    from it. ``folder`` may have a ``weights.bin`` already, which is then written anew.
     """
     store, protos = _Store(), {}
     for key in sorted(graphs, key=lambda key: (key == BORROWER, key)):  # whoever borrows comes last

@@ -24,7 +24,8 @@ from training.starting import read_model
 
 
 def interpolate_weights(first: dict[str, Tensor], second: dict[str, Tensor], share: float) -> dict[str, Tensor]:
-    """Weights ``share`` of the way from ``first`` to ``second``; other numbers are those of ``second``.
+    """Returns the weights by name that lie ``share`` of the way from ``first`` to ``second``. What is no floating point
+    number is that of ``second``.
 
     Raises ``InputError`` for models of different sizes and for a share outside [0, 1].
     """
@@ -49,26 +50,29 @@ def interpolate_weights(first: dict[str, Tensor], second: dict[str, Tensor], sha
 
 
 def average(first: Path, second: Path, out: Path, *, share: float = 0.5) -> None:
-    """Writes the checkpoint ``out`` between two models, with the training record of ``second``.
+    """Writes the checkpoint ``out``. Its weights lie ``share`` of the way from the model ``first`` to the checkpoint
+    ``second``; configuration, steps and time are those of ``second``.
 
-    ``first`` may be an exported model too, whose drape of single poses is read.
+    ``first`` may be an exported model, of which the static network is read. Raises ``InputError`` as
+    ``interpolate_weights`` does.
     """
     payload, config = checkpoint.load_checkpoint(second)
     weights = interpolate_weights(read_model(first)[0], payload["model"], share)
-    kept: dict[str, Any] = {name: payload[name] for name in ("step", "frames", "elapsed_s") if name in payload}
-    checkpoint.save(out, {"model": weights, **kept}, config)
+    progress: dict[str, Any] = {name: payload[name] for name in ("step", "frames", "elapsed_s") if name in payload}
+    checkpoint.save(out, {"model": weights, **progress}, config)
 
 
 @refusing
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Writes the checkpoint ``--out``, whose weights lie between those of two others. Returns 0."""
+    """Writes the checkpoint ``--out``, whose weights lie between those of two others. Returns 0, or 2 after a refusal,
+    whose sentence it prints."""
     parser = argparse.ArgumentParser(prog="python -m training.average", description="A model between two.")
     parser.add_argument("first", type=Path, help="checkpoint, or a model, as of training.run --finetune")
     parser.add_argument("second", type=Path, help="checkpoint of what the first was trained on to")
     parser.add_argument("--share", type=float, default=0.5, help="of the way to the second")
     parser.add_argument("--out", type=Path, required=True)
-    given = parser.parse_args(arguments)
-    average(given.first, given.second, given.out, share=given.share)
+    options = parser.parse_args(arguments)
+    average(options.first, options.second, options.out, share=options.share)
     return 0
 
 

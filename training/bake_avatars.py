@@ -36,7 +36,8 @@ RANK_TOLERANCE_M = 1e-6
 
 
 def rest_vertices(model, phenotypes: np.ndarray, used: np.ndarray) -> np.ndarray:
-    """anny's rest vertices [m] (N, V, 3), y up, of phenotypes (N, 6) in the model's order of labels."""
+    """Returns anny's rest vertices [m] (N, V, 3), y up, facing +z, of ``phenotypes`` (N, 6), whose columns are those of
+    ``model.phenotype_labels``. ``used`` (V,) are the indices of the vertices that come back."""
     import torch
 
     parts = []
@@ -47,8 +48,9 @@ def rest_vertices(model, phenotypes: np.ndarray, used: np.ndarray) -> np.ndarray
 
 
 def compress(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns shapes ``corners`` (N, V, 3) [m] as their mean (V, 3), an integer basis (R, V * 3) in steps of
-    ``STEP_M``, and coefficients (N, R)."""
+    """Returns the shapes ``corners`` [m] (N, V, 3) as three arrays: their mean [m] (V, 3) float32, a basis (R, 3 V)
+    int16 in steps of ``STEP_M``, and coefficients (N, R) float32 between -1 and 1. Shape n is the mean plus ``STEP_M``
+    times row n of the coefficients @ basis."""
     mean = corners.mean(axis=0).astype(np.float32)
     centred = (corners - mean).reshape(len(corners), -1)
     values, vectors = np.linalg.eigh(centred @ centred.T)
@@ -60,7 +62,8 @@ def compress(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def bake_avatar(out: Path, *, check: int, seed: int) -> dict[str, float]:
-    """Writes ``avatars.npz`` into ``out``; returns the figures."""
+    """Writes ``avatars.npz`` into the folder ``out``. Returns figures of it by name: how many corners and dimensions,
+    its size [MB], and the error [mm] of ``check`` random phenotypes, drawn from ``seed``, against anny."""
     model, _ = sample_anny(1, 0)
     labels = list(model.phenotype_labels)
     used = np.unique(model.faces.numpy())
@@ -100,7 +103,7 @@ def bake_avatar(out: Path, *, check: int, seed: int) -> dict[str, float]:
 
 
 def main() -> None:
-    """Runs the command line."""
+    """Runs the command line: writes ``avatars.npz`` into ``--out`` and prints figures of it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--out", type=Path, default=AVATARS_FILE.parent)
     parser.add_argument("--check", type=int, default=200, help="random phenotypes compared with anny")

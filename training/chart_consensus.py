@@ -22,11 +22,12 @@ from drape.graph.inputs import AgreementTensors
 
 
 class ChartConsensus(Protocol):
-    """Tables with which the charts of a posed garment are made to agree (names as in ``drape.garment.consensus``)."""
+    """Constant tables of a garment by which its charts are fitted to their blend and strained. Names and meaning are
+    those of ``drape.garment.consensus.Consensus``: K patches, A anchors."""
 
     @property
     def rest(self) -> Tensor:
-        """The polynomials of the patches at rest (K, 21, 3) [patch scales]."""
+        """The polynomials (K, 21, 3) [patch scales] of the patches at rest, in their frames."""
         ...
 
     @property
@@ -36,21 +37,23 @@ class ChartConsensus(Protocol):
 
     @property
     def orthonormal(self) -> Tensor:
-        """The upper triangles that make unit vectors of ``tangent`` (K, 7, 2, 2)."""
+        """The upper triangular matrices (K, 7, 2, 2) that make orthonormal vectors of ``tangent``."""
         ...
 
     def anchors(self, coefficients: Tensor) -> Tensor:
-        """Anchors [m] (F, A, 3) blended from world coefficients (F, K, 4 or 19, 3)."""
+        """Returns the anchors [m] (F, A, 3) where the blend of their charts puts them. ``coefficients`` (F, K, 19, 3)
+        are those of ``onefit.posed_coefficients``, or their first four rows (F, K, 4, 3) for rigid patches."""
         ...
 
     def fitted(self, anchors: Tensor, centre: Tensor) -> Tensor:
-        """Polynomials (F, K, 21, 3) of ``anchors`` (F, A, 3) relative to the patch centres (F, K, 3)."""
+        """Returns polynomials [m] (F, K, 21, 3), in world axes, fitted in each patch to its ``anchors`` [m] (F, A, 3),
+        taken relative to the patch's ``centre`` [m] (F, K, 3)."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class GatheredConsensus(AgreementTensors):
-    """Tables as the drape graph takes them."""
+    """The tables as dense tensors and indices, as the drape graph takes them."""
 
     def anchors(self, coefficients: Tensor) -> Tensor:
         rows, count = coefficients.shape[2], self.anchor_patch.shape[0]
@@ -78,7 +81,7 @@ class SparseConsensus:
 
     @classmethod
     def of(cls, feed: Mapping[str, np.ndarray], *, device: torch.device) -> SparseConsensus:
-        """From the ``drape.graph.feeds.atlas_feed`` of a partition."""
+        """Returns the tables on ``device`` of the partition whose ``drape.graph.feeds.atlas_feed`` is ``feed``."""
         tables = AgreementTensors.from_flat(feed)
         count, anchors = len(tables.member), len(tables.anchor_patch)
         rows = blend_matrix(tables.anchor_patch, tables.anchor_row, count)
@@ -105,26 +108,26 @@ class SparseConsensus:
         )
 
     def anchors(self, coefficients: Tensor) -> Tensor:
-        return framewise(self.rigid if coefficients.shape[2] == 4 else self.blend, coefficients.flatten(1, 2))
+        return framewise_product(self.rigid if coefficients.shape[2] == 4 else self.blend, coefficients.flatten(1, 2))
 
     def fitted(self, anchors: Tensor, centre: Tensor) -> Tensor:
-        fitted = framewise(self.fit, anchors).unflatten(1, (centre.shape[1], FIT_COUNT))
+        fitted = framewise_product(self.fit, anchors).unflatten(1, (centre.shape[1], FIT_COUNT))
         return fitted - self.fit_total * centre[:, :, None]
 
 
 def blend_matrix(patch: np.ndarray, row: np.ndarray, count: int) -> scipy.sparse.csr_matrix:
-    """The blend of ``count`` patches into n points, (n, m ``count``), from the ``patch`` (n, 4) of each chart and its
-    weighted ``row`` (n, 4, m)."""
+    """Returns the sparse matrix (n, m ``count``) that gives n points from m coefficients of each of ``count`` patches.
+    ``patch`` (n, 4) are the patches of each point's charts, ``row`` (n, 4, m) what multiplies their coefficients."""
     terms = row.shape[2]
     column = patch[..., None] * terms + np.arange(terms)
     point = np.broadcast_to(np.arange(len(patch))[:, None, None], column.shape)
-    found = scipy.sparse.csr_matrix((row.ravel(), (point.ravel(), column.ravel())), shape=(len(patch), count * terms))
-    found.sum_duplicates()
-    found.eliminate_zeros()
-    return found
+    matrix = scipy.sparse.csr_matrix((row.ravel(), (point.ravel(), column.ravel())), shape=(len(patch), count * terms))
+    matrix.sum_duplicates()
+    matrix.eliminate_zeros()
+    return matrix
 
 
-def framewise(pair: SparsePair, values: Tensor) -> Tensor:
+def framewise_product(pair: SparsePair, values: Tensor) -> Tensor:
     """Returns the products (F, n, 3) of the sparse matrix ``pair`` (n, m) with ``values`` (F, m, 3), frame by frame."""
     frames = values.shape[0]
     flat = product(pair, values.permute(1, 2, 0).reshape(values.shape[1], 3 * frames))
@@ -132,9 +135,10 @@ def framewise(pair: SparsePair, values: Tensor) -> Tensor:
 
 
 def agreed_jets(anchors: Tensor, charts: ChartConsensus, rotation: Tensor, centre: Tensor, scale: Tensor) -> Tensor:
-    """Jets (F, K, 27), added to those at rest, of charts fitted to ``anchors`` [m] (F, A, 3).
+    """Returns the changes (F, K, 27) [patch scales] of the rest jets with which the charts fit ``anchors`` [m]
+    (F, A, 3).
 
-    ``rotation`` (F, K, 3, 3) and ``centre`` (F, K, 3) [m] are the posed frames, ``scale`` (K,) [m] the patches'.
+    ``rotation`` (F, K, 3, 3) and ``centre`` (F, K, 3) [m] are the posed frames, ``scale`` (K,) [m] the patches' sizes.
     """
     local = _moved(anchors, charts, rotation, centre, scale)
     plane, height = local[..., jets.HEIGHT_COUNT :, :], local[..., : jets.HEIGHT_COUNT, 2]
@@ -142,7 +146,8 @@ def agreed_jets(anchors: Tensor, charts: ChartConsensus, rotation: Tensor, centr
 
 
 def closing_jets(anchors: Tensor, charts: ChartConsensus, rotation: Tensor, centre: Tensor, scale: Tensor) -> Tensor:
-    """Returns full jets (F, K, 45), fitted as in ``agreed_jets`` but with the height's order in every direction."""
+    """Returns the changes (F, K, 45) [patch scales] of the full rest jets with which the charts fit ``anchors``, as
+    ``agreed_jets`` does, but with polynomials of the height's order along all three axes."""
     return _moved(anchors, charts, rotation, centre, scale)[..., : jets.HEIGHT_COUNT, :].mT.flatten(-2)
 
 
@@ -152,8 +157,8 @@ def _moved(anchors: Tensor, charts: ChartConsensus, rotation: Tensor, centre: Te
 
 
 def tangent_terms() -> Tensor:
-    """Returns the matrix (27, 42) from a patch's jet coefficients to the derivatives that they add at the strain
-    points: of 7 points, 3 axes and 2 parameters."""
+    """Returns the matrix (27, 42) by which the coefficients of a jet give its derivatives at the strain points: columns
+    are sorted by point (7), axis (3) and parameter (2)."""
     points = strain_points()
     terms = np.zeros((jets.JET_COUNT, len(points), 3, 2))
     plane, height = jets.IN_PLANE_COUNT, jets.HEIGHT_COUNT
@@ -167,11 +172,10 @@ def tangent_terms() -> Tensor:
 
 
 def strain_and_force(jet: Tensor, charts: ChartConsensus, terms: Tensor) -> tuple[Tensor, Tensor]:
-    """Green strain (F, K, 21) of posed charts at seven points each, and the force on their coefficients (F, K, 27).
+    """Returns the Green strain E (F, K, 21) of posed charts at seven points each, and the gradient (F, K, 27) of
+    |E|^2 / 2 + 0.15 tr(E)^2, summed over the points, by the coefficients of ``jet`` (F, K, 27) [patch scales].
 
-    The strain is E11 at all points, then E22, then 2 E12, against the rest jet; the force the gradient of
-    |E|^2 / 2 + 0.15 tr(E)^2 summed over the points: which way, and by how much, each coefficient would relax the
-    patch. ``terms``: ``tangent_terms``.
+    The strain is E11 at all points, then E22, then 2 E12, against the rest jet. ``terms`` are ``tangent_terms``.
     """
     frames, patches = jet.shape[:2]
     points = charts.tangent.shape[1]
@@ -195,7 +199,8 @@ def strain_and_force(jet: Tensor, charts: ChartConsensus, terms: Tensor) -> tupl
 
 
 def softened(x: Tensor) -> Tensor:
-    """Returns ``4 x / (1 + 4 |x|)``: strains of a few percent fill the range, and torn patches stay within it."""
+    """Returns ``4 x / (1 + 4 |x|)``, between -1 and 1: strains of a few percent fill the range, and torn patches stay
+    within it."""
     return 4.0 * x / (1.0 + 4.0 * x.abs())
 
 
@@ -237,5 +242,6 @@ class _Product(torch.autograd.Function):
 
 
 def product(pair: SparsePair, dense: Tensor) -> Tensor:
-    """Returns ``matrix @ dense`` (V, n), differentiable in ``dense`` (m, n)."""
+    """Returns the product (V, n) of the sparse matrix ``pair`` (V, m) with ``dense`` (m, n), differentiable in
+    ``dense``."""
     return _Product.apply(dense, pair.forward, pair.transposed)

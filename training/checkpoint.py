@@ -18,14 +18,17 @@ FORMER_SWITCHES = ("surroundings", "agreed_base", "closing_fit", "feels_body")
 
 
 def save(path: Path, payload: dict[str, Any], config: TrainConfig) -> None:
-    """Writes ``payload`` with ``config``; a crash leaves the file before."""
+    """Writes ``payload`` and ``config`` as the checkpoint ``path``. A crash leaves the file that was there before."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as file:
         torch.save(payload | {"config": asdict(config)}, file)
 
 
 def load_checkpoint(path: Path) -> tuple[dict[str, Any], TrainConfig]:
-    """The payload at ``path`` and its configuration; only tensors and plain values are read."""
+    """Returns the payload of the checkpoint ``path``, tensors and plain values by name, and its configuration.
+
+    Raises ``ArtifactError`` where the file is no checkpoint of this program.
+    """
     try:
         payload = torch.load(path, map_location="cpu", weights_only=True)
         config = config_from(payload.pop("config"))
@@ -40,16 +43,16 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Any], TrainConfig]:
 
 
 def config_from(data: dict[str, Any]) -> TrainConfig:
-    """The configuration from its dictionary form; lists become tuples again."""
+    """Returns the configuration whose fields by name are ``data``, with tuples or lists for tuples."""
     data = dict(data)
     model, inputs = model_config_from(data.pop("model")), DataConfig(**_tuples(data.pop("data")))
     return TrainConfig(model=model, data=inputs, motion=MotionConfig(**_tuples(data.pop("motion"))), **_tuples(data))
 
 
 def model_config_from(data: dict[str, Any]) -> ModelConfig:
-    """The sizes of a network from their dictionary form.
+    """Returns the sizes of a network from its fields by name, with tuples or lists for tuples.
 
-    Raises ``ValueError`` for a network without a part that its variant has now.
+    Raises ``ValueError`` where ``data`` is of a network without a part that its variant has now.
     """
     sizes = {name: value for name, value in _tuples(data).items() if name not in FORMER_SWITCHES}
     config = ModelConfig(**sizes)

@@ -16,18 +16,17 @@ PAPER_DECODER, PAPER_HEADS = (512, 512, 512, 256), (128, 64)  # appendix A.3
 class ModelConfig:
     """Sizes of the network and what its output means.
 
-    The decoder is smaller than that of OneFit, appendix A.3, which learns slower for its size (docs/log.md).
+    The decoder is smaller than that of OneFit (appendix A.3), whose size makes it learn more slowly (docs/log.md).
 
     ``variant`` "vector": vector jets in rigidly skinned patch frames; "paper": height jet,
     translation and scale in the rest pose, vertices skinned after (the published method).
     ``output_gain`` keeps the untrained drape near plain skinning.
 
-    What vector jets have past the published network: the decoder also sees the posed joints and gravity in each
-    patch's own frame. Jets start from the blend of the rigid charts, fitted to every chart anew, and not from charts
-    that disagree. In ``corrections`` passes charts are brought to agree, feel their strain and how near the posed body
-    is and which way it pushes (drape.contact.proximity), and are corrected, by networks of ``correction_hidden`` units.
-    At the end charts are fitted to their blend once more, with the height's order in the plane as well
-    (docs/decisions/0008-representation.md).
+    A network of vector jets has more than the published one (docs/decisions/0008-representation.md). The decoder also
+    sees the posed joints and gravity in each patch's own frame. Jets start from the blend of the rigid charts, to which
+    every chart is fitted. In each of ``corrections`` passes charts are fitted to their blend again; a network of
+    ``correction_hidden`` units sees their strain and the body's proximity (drape.contact.proximity) and changes them.
+    At the end charts are fitted to their blend once more, with the height's order in the plane as well.
     ``fabric``: patches are also described by what they are made of (drape.garment.fabric_features).
     ``state_decay_s`` is the time constant of the recurrent state, ``state_rest_s`` the time after which
     a still body's is zero (training.recurrent).
@@ -55,12 +54,12 @@ class ModelConfig:
 
     @property
     def vector(self) -> bool:
-        """Whether jets are vectors in posed frames, which agree and feel their surroundings."""
+        """Whether the network predicts vector jets in posed frames; it has variant "paper" otherwise."""
         return self.variant == "vector"
 
     @property
     def encoder_feature_count(self) -> int:
-        """Numbers that the garment encoder takes of each patch."""
+        """How many numbers the garment encoder takes of each patch."""
         return self.patch_feature_count + (FABRIC_COUNT if self.fabric else 0)
 
     @property
@@ -77,7 +76,7 @@ class ModelConfig:
 
     @property
     def axes(self) -> dict[str, int]:
-        """Lengths of the named axes of inputs that the sizes of the network set."""
+        """The lengths of those named axes of the graphs' inputs that depend on the sizes of the network, by name."""
         return {
             "embedding": self.embedding_size,
             "code": self.body_code_size,
@@ -88,14 +87,13 @@ class ModelConfig:
 
 @dataclass(frozen=True)
 class DataConfig:
-    """Data of a run. ``garments``: names of designs; ``partitions``: random partitions kept of each;
+    """Data of a run. ``garments``: names of designs, or files; ``partitions``: random partitions kept of each;
     ``variants``: random neighbours of each design, drawn anew in every process, with ``variant_partitions`` each;
-    ``own_share``: chance of a named design itself; ``patch_range``: patch counts over the rule's, evenly in the
-    logarithm; ``fresh_steps``: steps after which one partition is replaced by one never seen; ``even_share``: poses
-    drawn evenly over kinds of poses instead of as often as they occur; ``held_out``: clips never trained on.
-    ``held_out_fabrics``: never drawn, nor what is like them; ``bias_share``: variants cut with another grain than
-    vertical.
-    """
+    ``own_share``: chance of a named design itself; ``patch_range``: between which factors the number of patches is
+    drawn, times that of intake; ``fresh_steps``: steps after which one partition is replaced by one never seen;
+    ``even_share``: share of poses drawn evenly over kinds of poses instead of as often as they occur; ``held_out``:
+    clips never trained on. ``held_out_fabrics``: never drawn, nor what is like them; ``bias_share``: share of the
+    variants that are cut with another grain than vertical."""
 
     garments: tuple[str, ...] = ("tshirt", "longsleeve", "tank", "trousers", "shorts", "dress", "skirt")
     partitions: int = 6
@@ -122,9 +120,9 @@ class MotionConfig:
     ``window_frames``: frames whose potential is lowered; up to ``warm_up_frames`` pass through the recurrent state
     before them, the last ``memory_frames`` of them with gradients, so that what lasts is learned. ``intervals_s``:
     time between frames, one drawn per window; ``drop_share``: chance that a frame is left out; ``speeds``: clips are
-    played slower and faster between these. ``stop_share``: windows in which the body stops dead; ``sway_share``:
-    those in which the ground sways besides, with accelerations up to ``sway_m_s2``. ``random_state_share``: windows
-    that begin with a random state.
+    played slower and faster between these. ``stop_share``: share of windows in which the body stops dead;
+    ``sway_share``: of those in which the ground sways besides, with accelerations up to ``sway_m_s2``;
+    ``random_state_share``: of those that begin with a random state.
     """
 
     window_frames: int = 2
@@ -141,7 +139,7 @@ class MotionConfig:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """The run: batch of frames per step, steps, rates, and where things go.
+    """The settings of a run: network, data, time, rates, and the weights of the parts of the loss.
 
     ``batch_size``: frames, of a dynamic model windows, per step of each process. ``disagreement_weight``
     [1/m^2 J/m^2] grows linearly from the share ``early_agreement`` to all of it over a static run: charts that
@@ -184,43 +182,47 @@ class TrainConfig:
 
     @property
     def frames_per_step(self) -> int:
-        """Draped frames of one process whose energy one step lowers."""
+        """How many draped frames of one process a step lowers the energy of."""
         return self.batch_size * (self.motion.window_frames if self.model.dynamic else 1)
 
 
 def as_published(model: ModelConfig) -> ModelConfig:
-    """Returns ``model`` with the published representation, and without what was added to it since."""
+    """Returns ``model`` as a network of variant "paper", without corrections and without fabrics."""
     return replace(model, variant="paper", corrections=0, fabric=False)
 
 
 def shipped() -> TrainConfig:
-    """The static drape that the shipped model began with: seven designs and neighbours, 95 minutes on two cores."""
+    """Returns the settings of the run with which the shipped model began: the static drape of seven designs and
+    neighbours of theirs, 95 minutes on two cores."""
     return TrainConfig(minutes=95.0)
 
 
 def smoke() -> TrainConfig:
-    """Two minutes on two cores, for tests and for a look at the loop."""
+    """Returns the settings of a run of two minutes on two cores, for tests and for a look at the loop."""
     return TrainConfig(minutes=2.0, data=DataConfig(garments=("tshirt",), partitions=2, variants=0), warmup_steps=20)
 
 
 def paper() -> TrainConfig:
-    """The published representation, for its tables and as the baseline."""
+    """Returns the settings of a run of the published network, which is a baseline."""
     return TrainConfig(model=as_published(ModelConfig(decoder_sizes=PAPER_DECODER, head_sizes=PAPER_HEADS)))
 
 
 def dynamic() -> TrainConfig:
-    """The recurrent encoder on top of a static model, whose weights stay as they are."""
+    """Returns the settings of a run that trains the recurrent encoder on top of a static model, whose weights stay as
+    they are."""
     return TrainConfig(model=ModelConfig(dynamic=True), batch_size=6, minutes=45.0, warmup_steps=100)
 
 
 def finetune() -> TrainConfig:
-    """Further training of a static model on one garment: its charts agree already, and rates are low."""
+    """Returns the settings of a run that trains a static model further on one garment: its charts agree already, and
+    rates are low."""
     data = DataConfig(variants=0, own_share=1.0)
     return TrainConfig(data=data, minutes=10.0, learning_rate=3e-4, warmup_steps=50, early_agreement=1.0)
 
 
 def continuation() -> TrainConfig:
-    """Further training of a static model on the shipped preset's garments, for smoother motion and more area.
+    """Returns the settings of a run that trains a static model further on the shipped preset's garments, for smoother
+    motion and more area.
 
     Half of the steps take no pass of corrections: folds on the vertices need none of them.
     """

@@ -24,10 +24,11 @@ LEAST_WEIGHT = 0.02  # weight in the blend above which a chart counts
 
 @dataclass(frozen=True, eq=False)
 class Disagreement:
-    """Disagreement at the n vertices that at least two charts hold with a weight above ``LEAST_WEIGHT``.
+    """The disagreement of charts in F frames, at the n vertices that have at least two charts of a weight above
+    ``LEAST_WEIGHT``.
 
-    ``gap_m`` (F, m): the distance from the blended vertex to where each of its m chart entries puts it.
-    ``normal_rad`` (F, n): the largest angle between the normals of two of a vertex's charts.
+    ``gap_m`` (F, m): for each of the m charts that these vertices have in all, the distance from the blended vertex to
+    where the chart puts it. ``normal_rad`` (F, n): the largest angle between the normals of two charts of a vertex.
     """
 
     gap_m: np.ndarray
@@ -35,10 +36,11 @@ class Disagreement:
 
 
 def chart_positions(garment: Garment, jet: np.ndarray, rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Places [m] (F, V, 4, 3) that each chart alone gives each vertex of the subdivided mesh, float64.
+    """Returns the places [m] (F, V, 4, 3), float64, that each of its four charts alone gives each vertex of the
+    subdivided mesh, in the frame of ``centre``: relative to the root joint in what the drape graph returns.
 
-    ``jet`` (F, K, 27 or 45) what is added to the rest jets [patch scales], ``rotation`` (F, K, 3, 3) and ``centre``
-    (F, K, 3) [m] the posed frames, as the drape graph returns them; positions are in the frame of ``centre``.
+    ``jet`` (F, K, 27 or 45) [patch scales] is the change of the rest jets, ``rotation`` (F, K, 3, 3) and ``centre``
+    (F, K, 3) [m] are the posed frames. Raises ``InputError`` for other shapes.
     """
     _check(garment, jet, rotation, centre)
     patch, uv = garment.chart_patch, garment.chart_uv.astype(np.float64)
@@ -48,7 +50,8 @@ def chart_positions(garment: Garment, jet: np.ndarray, rotation: np.ndarray, cen
 
 
 def chart_normals(garment: Garment, jet: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Unit normals (F, V, 4, 3) of what each chart alone makes of the cloth; arguments as ``chart_positions``.
+    """Returns the unit normals (F, V, 4, 3), float64, of the cloth as each of its four charts alone bends it at each
+    vertex. Arguments are those of ``chart_positions``.
 
     Two tangents t of the rest mesh at the vertex turn into ``t + s (j_u (grad u . t) + j_v (grad v . t))``, with
     the derivatives of the jet analytic; the normal is the unit vector of their cross product. NaN where a
@@ -64,22 +67,20 @@ def chart_normals(garment: Garment, jet: np.ndarray, rotation: np.ndarray) -> np
 
 
 def disagreement(garment: Garment, jet: np.ndarray, rotation: np.ndarray, centre: np.ndarray) -> Disagreement:
-    """Disagreement over the vertices of the subdivided mesh; arguments as ``chart_positions``."""
+    """Returns the disagreement of the charts of a drape of ``garment``. Arguments are those of ``chart_positions``."""
     weight = garment.chart_weight.astype(np.float64)
     counted = weight > LEAST_WEIGHT
     overlap = counted.sum(axis=1) > 1
     counted, weight = counted[overlap], weight[overlap]
-    said = chart_positions(garment, jet, rotation, centre)[:, overlap]
-    blended = np.einsum("vk,fvka->fva", weight, said)
-    gap = np.linalg.norm(said - blended[:, :, None], axis=-1)[:, counted]
+    places = chart_positions(garment, jet, rotation, centre)[:, overlap]
+    blended = np.einsum("vk,fvka->fva", weight, places)
+    gap = np.linalg.norm(places - blended[:, :, None], axis=-1)[:, counted]
     return Disagreement(gap, widest_angles(chart_normals(garment, jet, rotation)[:, overlap], counted))
 
 
 def widest_angles(normals: np.ndarray, counted: np.ndarray) -> np.ndarray:
-    """Largest angle [rad] (F, n) between two of the unit ``normals`` (F, n, m, 3) that ``counted`` (n, m) admits.
-
-    A normal that is NaN is not there.
-    """
+    """Returns the largest angle [rad] (F, n) between two of each point's unit ``normals`` (F, n, m, 3), of those alone
+    for which ``counted`` (n, m) is true and that are not NaN; 0 where fewer than two are left."""
     widest = np.zeros(normals.shape[:2])
     for first in range(normals.shape[2]):
         for second in range(first):
@@ -89,8 +90,9 @@ def widest_angles(normals: np.ndarray, counted: np.ndarray) -> np.ndarray:
 
 
 def rest_tangents(garment: Garment) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Two tangents of the rest mesh at every vertex: each (V, 4, 3) in the frames of its patches, and how fast
-    (u, v) change along it [1/m] (V, 4, 2), NaN where the chart has no triangle at the vertex."""
+    """Returns two pairs, one for each of two unit tangents of the rest mesh at every vertex: the tangent (V, 4, 3) in
+    the frames of the vertex's patches, and the derivative [1/m] (V, 4, 2) of (u, v) along it, NaN where the chart has
+    no triangle at the vertex."""
     gradient = _uv_gradients(garment)
     normals = meshes.vertex_normals(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64))
     tangents = []

@@ -21,7 +21,7 @@ CALM_M_S2 = 2.0  # frames with more acceleration than this count less: few windo
 
 
 class DynamicTrainer(BaseTrainer):
-    """Learns what motion adds to the drape, on top of the static ``weights``.
+    """The trainer of the recurrent encoder: it learns what motion adds to the drape of the static ``weights``.
 
     A frame's loss is its incremental potential (Santesteban et al. 2022; Bertiche et al. 2022): the cloth's energy and
     m / (2 dt^2) |x - (x1 + dt v)|^2, with the network's own two earlier frames taken as given. Places x are those in
@@ -45,7 +45,7 @@ class DynamicTrainer(BaseTrainer):
 
     @property
     def encoder(self) -> DynamicEncoder:
-        """The recurrent encoder of the model, which it must have."""
+        """The recurrent encoder of the model, which is a dynamic one."""
         assert self.model.dynamic is not None
         return self.model.dynamic
 
@@ -66,8 +66,8 @@ class DynamicTrainer(BaseTrainer):
         return list(self.encoder.parameters())
 
     def objective(self) -> BatchLoss:
-        """Draws windows of motion and returns the loss over them: the incremental potential above that of the static
-        drape, a weighted mean."""
+        """Draws a garment and windows of motion, and returns the loss over them: a weighted mean of how far the
+        incremental potential is above that of the static drape."""
         config, count = self.config, self.config.batch_size
         garment, partition = self.wardrobe.draw(self.rng)
         warm_up = int(self.rng.integers(0, config.motion.warm_up_frames + 1))
@@ -150,10 +150,11 @@ class DynamicTrainer(BaseTrainer):
         return energy / self._unit(garment)
 
     def codes(self, windows: Windows, betas: np.ndarray, shown: int) -> Tensor:
-        """Dynamic codes (B, shown, 256) of the last ``shown`` frames.
+        """Returns the dynamic codes (B, shown, 256) of the last ``shown`` frames of ``windows``, whose bodies have the
+        shapes ``betas`` (B, S).
 
-        Those before, and a random state, bring the recurrence to where a stream would be; gradients run through the
-        last ``memory_frames`` of them.
+        The frames before them, and a first state that may be random, bring the recurrence to where a stream would be;
+        gradients run through the last ``memory_frames`` of these.
         """
         features = self._tensor(windows.features(self.body, betas))
         dt_s = self._tensor(windows.dt_s[:, 1:])

@@ -54,7 +54,8 @@ COLUMNS = ("membrane_j", "bending_j", "gravity_j", "contact_j", "energy_j", "edg
 
 
 def load_network(path: Path) -> tuple[OneFit, TrainConfig, int]:
-    """The network at ``path``, a checkpoint or the folder of a run, its configuration, and the steps it took.
+    """Returns the network at ``path``, a checkpoint or the folder of a run, in evaluation mode, its configuration, and
+    how many steps it was trained.
 
     Raises ``ArtifactError`` where the file is no checkpoint or holds a network of another build.
     """
@@ -75,7 +76,8 @@ def load_network(path: Path) -> tuple[OneFit, TrainConfig, int]:
 
 
 def held_out_clips(config: TrainConfig, motions: Sequence[str]) -> list[MotionClip]:
-    """The clips named ``motions``; else those the run held out, else the shipped ones, which a run may have seen."""
+    """Returns the clips that ``motions`` names, names or paths; if it is empty those that the run held out, or the
+    shipped ones, which it may have seen, where the folder of data has none."""
     folder = data_folder("motions")
     if not motions and folder is not None:
         files = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in MOTION_SUFFIXES]
@@ -92,16 +94,17 @@ def posed_patches(
     passes: int | None = None,
     fabric: Fabric | None = None,
 ) -> tuple[np.ndarray, Posed]:
-    """World vertices [m] (F, V, 3) of the subdivided mesh at ``poses`` (F, 24, 3) [rad], and the posed patches.
+    """Returns the world vertices [m] (F, V, 3), float64, of the subdivided mesh at ``poses`` (F, 24, 3) [rad] on the
+    body of mean shape, and the posed patches.
 
-    ``passes`` of the corrections are taken, all by default. ``fabric``: what it is made of, for networks that know
-    fabrics; those take the garment's own otherwise.
+    ``passes`` of the corrections are taken, all by default. ``fabric`` is what the garment is made of, its own by
+    default; networks that know no fabrics ignore it.
     """
-    made_of = (fabric or fabric_of(garment.fabric)) if model.config.fabric else None
+    cloth = (fabric or fabric_of(garment.fabric)) if model.config.fabric else None
     partition = partition_tensors(garment, body_skin(source.body), device=CPU, grain=rest_grain(garment))
     body = source.pose(poses, np.zeros((len(poses), source.body.shape_count))).tensors
     with torch.no_grad():
-        embedding = model.garment(partition.encoded(made_of))
+        embedding = model.garment(partition.encoder_inputs(cloth))
         posed = model(body, partition.patches, embedding, charts=partition.consensus, passes=passes)
         vertices = vertices_from(posed_coefficients(posed, partition.patches.scale), partition)
         if model.config.variant == "paper":
@@ -118,10 +121,12 @@ def evaluate(
     passes: int | None = None,
     fabric: Fabric | None = None,
 ) -> list[dict[str, Any]]:
-    """Returns a row for each method: mean energies [J] by part, strains, and the share of the baseline's energy.
+    """Returns four rows, of the methods "skinning", "skinning_push", "network" and "network_push" at ``poses``: mean
+    energies [J] by part, mean strains [%] of edges and areas, and ``share``, the energy over that of "skinning_push".
+    The row "network" also has the disagreement of its charts.
 
     ``passes`` and ``fabric`` are those of ``posed_patches``. For a network that knows fabrics cloth rests as the
-    garment says.
+    garment says, otherwise as its mesh is modelled.
     """
     made_of = (fabric or fabric_of(garment.fabric)) if model.config.fabric else None
     cloth_material = material() if made_of is None else Material.of(made_of)
@@ -172,7 +177,7 @@ def _all_frames(posed: Posed) -> np.ndarray:
 
 
 def print_rows(rows: list[dict[str, Any]]) -> None:
-    """Prints a table of ``rows``; those that have it end with the disagreement of charts."""
+    """Prints ``rows`` of ``evaluate`` as a table. Lines of rows that have the disagreement of charts end with it."""
     width = max(len(row["garment"]) for row in rows)
     print(f"{'garment':{width}}  {'method':13}  " + "  ".join(f"{column:>10}" for column in COLUMNS))
     for row in rows:
@@ -184,7 +189,7 @@ def print_rows(rows: list[dict[str, Any]]) -> None:
 
 @flushed()
 def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
-    """Prints the table and one line of JSON, and returns what that holds."""
+    """Runs the command line: prints a table and one line of JSON. Returns what that line holds."""
     parser = argparse.ArgumentParser(
         prog="python -m training.evaluate", description="Energies of a checkpoint's drape beside skinning's."
     )

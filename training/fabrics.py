@@ -11,18 +11,22 @@ from drape.errors import InputError
 STRETCH_N_PER_M = 43.1  # of the cloth with which the losses were weighed
 TABLE_SHARE = 0.5
 CHANGE = 0.15  # of a table's fabric, standard deviation of each logarithm
-APART = 0.7  # in the norm of the logarithms below: nearer ones count as the fabric that is held out
-LIKENESS = ("warp_n_per_m", "weft_n_per_m", "shear_n_per_m", "bending_warp_j", "bending_weft_j")
+APART = 0.7  # of fabric_distance: nearer fabrics count as the one that is held out
+COMPARED = ("warp_n_per_m", "weft_n_per_m", "shear_n_per_m", "bending_warp_j", "bending_weft_j")
 TRIES = 1000
 
 
 def stretch_share(fabric: Fabric) -> float:
-    """Stiffness against stretch, relative to the cloth with which the losses were weighed."""
+    """Returns the stiffness of ``fabric`` against stretch, the geometric mean of warp and weft, over that of the cloth
+    for which the losses' weights were chosen."""
     return float(np.sqrt(fabric.warp_n_per_m * fabric.weft_n_per_m)) / STRETCH_N_PER_M
 
 
 class FabricBank:
-    """Draws fabrics, never one that is ``held_out`` (names of the table) nor one like it."""
+    """The fabrics to train on, without those ``held_out`` and without any like these.
+
+    Raises ``InputError`` for a name in ``held_out`` that ``FABRICS`` does not have.
+    """
 
     def __init__(self, held_out: tuple[str, ...] = ()) -> None:
         unknown = sorted(set(held_out) - FABRICS.keys())
@@ -36,7 +40,11 @@ class FabricBank:
         self._low, self._high = rows.min(axis=0), rows.max(axis=0)
 
     def draw(self, rng: np.random.Generator) -> Fabric:
-        """A fabric that is convex at rest: of the table, a little changed, or log-uniform over its range."""
+        """Returns a random fabric that is not like one held out and whose energy is convex at rest: one of the table, a
+        little changed, or one that is log-uniform over the table's range.
+
+        Raises ``InputError`` where ``TRIES`` draws give none.
+        """
         for _ in range(TRIES):
             if rng.random() < TABLE_SHARE:
                 rows = _logarithms(self.known[int(rng.integers(len(self.known)))])
@@ -57,13 +65,14 @@ class FabricBank:
         )
 
     def forbids(self, cloth: Fabric) -> bool:
-        """Whether ``cloth`` is like one that is held out."""
-        return any(likeness(cloth, other) < APART for other in self.held_out)
+        """Returns whether ``cloth`` is nearer than ``APART`` to a fabric that is held out."""
+        return any(fabric_distance(cloth, other) < APART for other in self.held_out)
 
 
-def likeness(one: Fabric, other: Fabric) -> float:
-    """Norm of the differences of the logarithms of stretch, shear and bending."""
-    return float(np.linalg.norm([np.log(getattr(one, name) / getattr(other, name)) for name in LIKENESS]))
+def fabric_distance(first: Fabric, second: Fabric) -> float:
+    """Returns the norm of the differences of the logarithms of ``COMPARED``, the stiffnesses against stretch, shear and
+    bending: 0 for fabrics that are alike."""
+    return float(np.linalg.norm([np.log(getattr(first, name) / getattr(second, name)) for name in COMPARED]))
 
 
 def _logarithms(cloth: Fabric) -> np.ndarray:

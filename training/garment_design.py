@@ -44,7 +44,7 @@ SLIVER_SHARE = 0.003  # of the mean triangle
 
 @dataclass(frozen=True)
 class GarmentCuts:
-    """The cuts of a garment and its distance from the body; ``None`` leaves a cut out.
+    """Where a garment is cut [m], heights from the floor, and its distance from the body; ``None`` leaves a cut out.
 
     ``hem_y`` lowest height of the torso; ``waist_y`` upper edge of trousers, and where the cloth of a
     dress or a skirt leaves the body; ``band_y`` upper edge of a skirt, ``skirt_hem_y`` lower edge of both;
@@ -89,7 +89,8 @@ DESIGNS = {design.name: design for design in (*SIX, *EXTRA)}
 
 
 def helper_surface(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices [m] (N, 3), faces (F, 3) and skin weights (N, 24) of a helper surface, once Loop-subdivided."""
+    """Returns vertices [m] (N, 3), faces (F, 3) and skinning weights (N, 24) of the helper surface ``name``, "tights"
+    or "skirt", on the standard body at rest, after one Loop subdivision."""
     with np.load(HELPERS_FILE, allow_pickle=False) as stored:
         vertices, faces, weights = (stored[f"{name}_{part}"] for part in ("vertices", "faces", "weights"))
     # Subdividing weights beside positions keeps both on one rule.
@@ -110,7 +111,8 @@ def _loop(values: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def build_design(design: GarmentCuts, body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [m] (N, 3) and faces (F, 3) of ``design`` on ``body``, at least 6 mm clear of it."""
+    """Returns the vertices [m] (N, 3) and the faces (F, 3) of ``design`` on ``body`` at rest, at least 6 mm clear of
+    it."""
     floor = np.array([0.0, body.v_template[:, 1].min(), 0.0])
     vertices, faces, weights = helper_surface("tights")
     vertices = vertices - floor
@@ -252,7 +254,8 @@ def _taubin(vertices: np.ndarray, faces: np.ndarray, *, passes: int) -> np.ndarr
 
 
 def clear_of_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> np.ndarray:
-    """Returns ``vertices`` [m] (N, 3) at least ``CLEARANCE_M`` off ``body``; a smoothed push leaves no spikes."""
+    """Returns ``vertices`` [m] (N, 3) after they have been pushed to at least ``CLEARANCE_M`` from ``body`` at rest.
+    The push is smoothed over the mesh, so that it leaves no spikes."""
     smooth = smoothing_matrix(faces, len(vertices))
     for _ in range(40):
         distance, outward = _outward(vertices, body)
@@ -291,7 +294,8 @@ def vary_design(
 
 
 def vary(design: GarmentCuts, rng: np.random.Generator) -> GarmentCuts:
-    """A random neighbour of ``design``: hems, sleeves, neckline, ease and flare within wearable ranges."""
+    """Returns a random neighbour of ``design``, with other hems, sleeves, neckline, ease and flare within wearable
+    ranges."""
 
     def jitter(value: float | None, spread: float) -> float | None:
         return None if value is None else value + float(rng.uniform(-spread, spread))
@@ -320,9 +324,8 @@ def vary(design: GarmentCuts, rng: np.random.Generator) -> GarmentCuts:
 
 
 def cut_garment(design: GarmentCuts, body: BodyModel) -> Garment:
-    """Returns ``design`` on ``body`` as the product keeps a garment: fitted patches, no texture coordinates, no rest
-    state.
-    """
+    """Returns ``design`` on ``body`` as a garment with fitted patches, without texture coordinates and without a rest
+    state of its own."""
     vertices, faces = build_design(design, body)
     key = vertices.tobytes() + faces.tobytes() + body.digest.encode() + f"{FORMAT_VERSION}.{INTAKE_VERSION}".encode()
     mesh = replace(plain_mesh(design.name, vertices, faces), material_names=("cloth",))
@@ -331,7 +334,8 @@ def cut_garment(design: GarmentCuts, body: BodyModel) -> Garment:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Builds the named designs, the six where none is named, and writes their caches."""
+    """Runs the command line: builds the named designs, or six where none is named, and writes each into ``--out`` in
+    place of its older files."""
     parser = argparse.ArgumentParser(description="Builds garments cut from the body's surface and writes their caches.")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(DESIGNS)}; the first six without")
     parser.add_argument("--out", type=Path, default=CUT_DIR)

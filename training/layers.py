@@ -16,11 +16,12 @@ from training.config import ModelConfig
 
 STRAIN_COUNT = 3 * STRAIN_POINTS
 CLOSENESS_COUNT = 2 * STRAIN_POINTS  # of the patch's own part of the body, and of others
-SURROUNDINGS_COUNT = 3 * JOINT_COUNT + 3  # of model.patch_surroundings
+SURROUNDINGS_COUNT = 3 * JOINT_COUNT + 3  # of onefit.patch_surroundings
 
 
 def mlp(sizes: list[int], *, last_activation: bool = False, bias: bool = True) -> nn.Sequential:
-    """Linear layers of ``sizes`` with LeakyReLU between them."""
+    """Returns linear layers of the widths ``sizes`` with LeakyReLU between them, with ``last_activation`` also after
+    the last one."""
     layers: list[nn.Module] = []
     for index, (inputs, outputs) in enumerate(pairwise(sizes)):
         layers.append(nn.Linear(inputs, outputs, bias=bias))
@@ -30,7 +31,8 @@ def mlp(sizes: list[int], *, last_activation: bool = False, bias: bool = True) -
 
 
 class Standardise(nn.Module):
-    """Shifts and scales features by statistics that are set once and travel with the weights."""
+    """A layer that shifts and scales ``count`` features (..., count) and cuts them off at -5 and 5. Mean and deviation
+    are set once and are part of the model's state."""
 
     mean: Tensor
     inverse_deviation: Tensor
@@ -41,9 +43,9 @@ class Standardise(nn.Module):
         self.register_buffer("inverse_deviation", torch.ones(count))
 
     def set_from(self, samples: Tensor) -> None:
-        """Takes mean and deviation from ``samples`` (n, m), for the first m features.
+        """Sets the mean and the deviation of the first m features to those of ``samples`` (n, m).
 
-        A feature that hardly varies is shifted and not scaled; features past the first m pass as they are.
+        A feature that hardly varies is shifted and not scaled; the features after the first m pass as they are.
         """
         deviation, count = samples.std(dim=0), samples.shape[1]
         self.mean[:count] = samples.mean(dim=0)
@@ -55,7 +57,7 @@ class Standardise(nn.Module):
 
 
 class GarmentEncoder(nn.Module):
-    """Patch features (K, D) -> patch embedding (K, E): an MLP with a skip connection."""
+    """A network that computes embeddings (K, E) of patches from features (K, D): an MLP with a skip connection."""
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
@@ -72,7 +74,7 @@ class GarmentEncoder(nn.Module):
 
 
 class StaticEncoder(nn.Module):
-    """Body features (F, 226) -> static body code (F, 256): a five-layer MLP."""
+    """A network that computes the codes (F, 256) of poses from body features (F, 226): a five-layer MLP."""
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
@@ -84,7 +86,8 @@ class StaticEncoder(nn.Module):
 
 
 class Decoder(nn.Module):
-    """Body code (F, 256) and patch embedding (K, E) -> outputs (F, K, n), one head per kind of output.
+    """A network that computes outputs (F, K, n) of K patches on F bodies, one head per kind of output, from body codes
+    (F, 256) and patch embeddings (K, E).
 
     The first layer acts on the concatenation of both and of the surroundings of the posed patch;
     written as a sum of products, its garment half is computed once per garment and its body half
@@ -113,9 +116,9 @@ class Decoder(nn.Module):
     def forward(
         self, body_code: Tensor, embedding: Tensor, surroundings: Tensor | None = None
     ) -> tuple[dict[str, Tensor], Tensor]:
-        """Outputs by head, and the trunk's outputs (F, K, n), which corrections read.
+        """Returns the outputs (F, K, n) of each head by name, and those of the trunk (F, K, W), which corrections read.
 
-        ``surroundings`` (F, K, 102), with the agreed base, of vector jets.
+        ``surroundings`` (F, K, 102) are needed for vector jets: ``onefit.patch_surroundings``, then the agreed base.
         """
         x = self.from_body(body_code)[:, None] + self.from_patch(embedding)[None]
         if self.from_surroundings is not None:
@@ -126,7 +129,7 @@ class Decoder(nn.Module):
 
 
 class Correction(nn.Sequential):
-    """Code, strain and body proximity of a patch -> change of its jets (F, K, 27).
+    """A network that computes changes (F, K, 27) of the jets of patches from their code, strain and body proximity.
 
     Inputs: the decoder's code of the patch, strain and force of ``training.chart_consensus``, the jets themselves, and
     closeness and force of the body proximity.

@@ -14,28 +14,30 @@ from drape.cloth.material import Material
 from drape.cloth.waistband import band_energy
 from drape.graph.inputs import BodyTensors
 from training.batches import BodyBatch, Partition, TrainingGarment
-from training.chart_consensus import framewise
+from training.chart_consensus import framewise_product
 from training.onefit import FRAME_ROWS, paper_vertices
 
 
 def vertices_from(coefficients: Tensor, partition: Partition) -> Tensor:
-    """Vertices [m] (F, V, 3) by one sparse product; equals ``model.vertex_positions``."""
-    return framewise(partition.blend, coefficients.flatten(1, 2))
+    """Returns vertices [m] (F, V, 3) relative to the root joint by one sparse product of ``onefit.posed_coefficients``
+    (F, K, 19, 3); of variant "paper" in the rest pose. It equals ``onefit.vertex_positions``."""
+    return framewise_product(partition.blend, coefficients.flatten(1, 2))
 
 
 def garment_vertices(
     coefficients: Tensor, partition: Partition, garment: TrainingGarment, body: BodyTensors, *, variant: str
 ) -> Tensor:
-    """Vertices [m] (F, V, 3) of either variant; ``coefficients``: ``model.posed_coefficients``."""
+    """Returns the posed vertices [m] (F, V, 3) relative to the root joint, of either ``variant``; ``coefficients``
+    (F, K, 19, 3) are ``onefit.posed_coefficients``."""
     vertices = vertices_from(coefficients, partition)
     return paper_vertices(vertices, garment.skin_weights, body) if variant == "paper" else vertices
 
 
 def chart_disagreement(coefficients: Tensor, partition: Partition, sample: Tensor) -> Tensor:
-    """Returns the mean squared distance [m^2] () between the places that the charts of a vertex give it, over the
-    vertices ``sample`` (n,).
+    """Returns the mean squared distance [m^2] () from a vertex to where each of its charts puts it, weighted as the
+    charts are blended, over the vertices ``sample`` (n,).
 
-    ``coefficients`` are ``model.posed_coefficients`` of a drape, or the difference of those of two drapes on the same
+    ``coefficients`` are ``onefit.posed_coefficients`` of a drape, or the difference of those of two drapes on the same
     bodies: then the result says how far the charts disagree on the displacement from one drape to the other.
     """
     patch = partition.chart_patch[sample]
@@ -44,13 +46,14 @@ def chart_disagreement(coefficients: Tensor, partition: Partition, sample: Tenso
     # Frames beside coordinates: one row of a chart times the numbers of all frames is a product worth its call.
     columns = coefficients.permute(1, 2, 3, 0).flatten(2)  # (K, 19, 3 F)
     gathered = torch.index_select(columns.flatten(1), 0, patch.reshape(-1)).unflatten(1, columns.shape[1:])
-    said = (row.reshape(-1, 1, row.shape[-1]) @ gathered).reshape(*patch.shape, -1)  # (n, 4, 3 F)
-    mean = (weight[..., None] * said).sum(dim=1, keepdim=True)
-    return (weight[..., None] * (said - mean).square()).sum() / coefficients.shape[0] / len(sample)
+    places = (row.reshape(-1, 1, row.shape[-1]) @ gathered).reshape(*patch.shape, -1)  # (n, 4, 3 F)
+    mean = (weight[..., None] * places).sum(dim=1, keepdim=True)
+    return (weight[..., None] * (places - mean).square()).sum() / coefficients.shape[0] / len(sample)
 
 
 def second_difference(vertices: Tensor) -> Tensor:
-    """Mean squared second difference [m^2] of ``vertices`` (3 n, V, 3), frames by threes."""
+    """Returns the mean squared second difference in time [m^2] () of ``vertices`` [m] (3 n, V, 3), every three frames
+    of which follow each other."""
     before, at, after = vertices.unflatten(0, (-1, 3)).unbind(dim=1)
     return (before - 2.0 * at + after).square().sum(dim=-1).mean()
 
@@ -69,7 +72,7 @@ def lost_area(vertices: Tensor, cloth: energies.ClothMesh) -> Tensor:
 
 
 def waistband_energy(coefficients: Tensor, partition: Partition, garment: TrainingGarment) -> Tensor:
-    """Energy [J] (F,) of the garment's waistband (``drape.cloth.waistband``), zero without one."""
+    """Returns the energy [J] (F,) of the garment's waistband (``drape.cloth.waistband``), zeros without one."""
     if garment.band is None:
         return coefficients.new_zeros(len(coefficients))
     vertex, length = garment.band
@@ -92,7 +95,8 @@ def soften(energy: Tensor, knee: float) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class SampledPlanes:
-    """Tangent planes of the body, ``point`` and ``normal`` (F, n, 3), that the vertices ``sample`` (n,) meet."""
+    """Tangent planes of F bodies, ``point`` [m] and unit ``normal`` (F, n, 3), nearest to the garment's vertices with
+    the indices ``sample`` (n,)."""
 
     sample: Tensor
     point: Tensor
@@ -100,7 +104,7 @@ class SampledPlanes:
 
 
 def contact_planes(vertices: Tensor, body: BodyBatch, *, share: float, generator: torch.Generator) -> SampledPlanes:
-    """Planes of the body nearest to a random ``share`` of ``vertices`` [m] (F, V, 3)."""
+    """Returns the planes of the bodies nearest to a random ``share`` of ``vertices`` [m] (F, V, 3)."""
     count = vertices.shape[1]
     sample = torch.randperm(count, generator=generator)[: max(1, round(share * count))].to(vertices.device)
     touched = vertices.detach().index_select(1, sample)
@@ -114,8 +118,11 @@ def contact_planes(vertices: Tensor, body: BodyBatch, *, share: float, generator
 def energy_loss(
     vertices: Tensor, garment: TrainingGarment, planes: SampledPlanes, material: Material
 ) -> dict[str, Tensor]:
-    """Energy parts [J] (F,). Contact is that of the sample of ``planes``, scaled up: an unbiased estimate, since the
-    search for nearest vertices is dear."""
+    """Returns the energy [J] (F,) of ``vertices`` [m] (F, V, 3) by part: membrane, bending, gravity and contact.
+
+    Contact is that of the sample of ``planes``, scaled up: an unbiased estimate, since the search for nearest vertices
+    is dear.
+    """
     parts = energies.total(vertices, garment.cloth, material)
     touched = vertices.index_select(1, planes.sample)
     depth = torch.clamp(material.contact_gap_m - plane_distance(touched, planes.point, planes.normal), min=0.0)

@@ -16,7 +16,9 @@ SNAP_SHARE = 0.45  # a vertex moves onto the cut when the cut passes this near a
 def cut_mesh(
     vertices: np.ndarray, faces: np.ndarray, field: np.ndarray, extra: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The part of a mesh where ``field`` (N,) > 0, cut along its zero line; ``extra`` (N, C) is carried along."""
+    """Returns vertices [m] (n, 3), faces (f, 3) and rows of ``extra`` (n, C) of the largest connected piece of the mesh
+    in which ``field`` (N,) is above 0, cut along its zero line. Rows at the cut are interpolated from ``extra`` (N, C).
+    """
     vertices, field, extra = vertices.copy(), field.copy(), extra.copy()
     edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
     a, b = edges[:, 0], edges[:, 1]
@@ -43,7 +45,7 @@ def cut_mesh(
         return new_of[key]
 
     sign = np.sign(field)[faces]
-    kept = list(faces[(sign >= 0).all(axis=1) & (sign > 0).any(axis=1)])
+    inside = list(faces[(sign >= 0).all(axis=1) & (sign > 0).any(axis=1)])
     for face in faces[(sign > 0).any(axis=1) & (sign < 0).any(axis=1)]:
         polygon = []
         for i, j in ((face[0], face[1]), (face[1], face[2]), (face[2], face[0])):
@@ -51,8 +53,8 @@ def cut_mesh(
                 polygon.append(i)
             if field[i] * field[j] < 0:
                 polygon.append(crossing_vertex(i, j))
-        kept += [[polygon[0], polygon[k], polygon[k + 1]] for k in range(1, len(polygon) - 1)]
-    return compact(np.asarray(new_vertices), np.asarray(kept), np.asarray(new_extra))
+        inside += [[polygon[0], polygon[k], polygon[k + 1]] for k in range(1, len(polygon) - 1)]
+    return compact(np.asarray(new_vertices), np.asarray(inside), np.asarray(new_extra))
 
 
 def compact(vertices: np.ndarray, faces: np.ndarray, extra: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -29,7 +29,9 @@ from training.recurrent import DynamicEncoder
 
 @dataclass(frozen=True)
 class Posed:
-    """Posed patches: frames (F, K, 3, 3) and (F, K, 3), and the changes (F, K, 27 or 45) of the rest jets."""
+    """K patches on F posed bodies: ``rotation`` (F, K, 3, 3) and ``centre`` (F, K, 3) [m] of their frames, relative to
+    the root joint, and ``jet`` (F, K, 45) [patch scales], the changes of the full rest jets. Of variant "paper" the
+    frames are those at rest and the jets are (F, K, 27)."""
 
     rotation: Tensor
     centre: Tensor
@@ -45,7 +47,8 @@ class OneFit(nn.Module):
     learned solver: each reads how far off the drape still is.
 
     Variant "paper" predicts a height jet, a translation and a scale of each patch in
-    the rest pose; its vertices are skinned afterwards.
+    the rest pose; its vertices are skinned afterwards. Raises ``ValueError`` for another variant, and for corrections
+    of variant "paper".
     """
 
     tangent_terms: Tensor
@@ -88,7 +91,7 @@ class OneFit(nn.Module):
 
     @property
     def jet_count(self) -> int:
-        """Numbers of a patch that ``forward`` returns."""
+        """How many numbers the jet of a patch has in what ``forward`` returns: 45, of variant "paper" 27."""
         return jets.FULL_COUNT if self.config.vector else jets.JET_COUNT
 
     def _mixed(self, like: Tensor) -> AbstractContextManager:
@@ -103,7 +106,7 @@ class OneFit(nn.Module):
         surroundings: Tensor | None = None,
         dynamic_code: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
-        """Change of the jets (F, K, 27) in units of the patch scale, and the decoder's code of each patch."""
+        """Returns the decoder's change of the jets (F, K, 27) [patch scales], and its code of each patch (F, K, W)."""
         with self._mixed(embedding):
             code = self.body(body.features)
             if dynamic_code is not None:
@@ -125,10 +128,10 @@ class OneFit(nn.Module):
         charts: ChartConsensus | None = None,
         passes: int | None = None,
     ) -> Posed:
-        """Posed patches of F bodies.
+        """Returns ``patches``, whose embeddings are ``embedding`` (K, E), on the F bodies ``body``.
 
-        ``dynamic_code`` (F, 256), times the motion knob, is added to that of the pose. ``charts``: the garment's
-        tables, of vector jets; ``passes``: of the corrections, all of them by default.
+        ``dynamic_code`` (F, 256), times the motion knob, is added to the code of the pose. ``charts`` are the garment's
+        tables, which vector jets need. ``passes`` of the corrections are taken, all of them by default.
         """
         rotation, centre = pose_frames(body, patches)
         around = base = None
@@ -181,7 +184,7 @@ def _paper_as_vector(out: dict[str, Tensor]) -> list[Tensor]:
 
 
 def pose_frames(body: BodyTensors, patches: PatchTensors) -> tuple[Tensor, Tensor]:
-    """Rotations (F, K, 3, 3) and centres (F, K, 3) of the skinned patch frames.
+    """Returns rotations (F, K, 3, 3) and centres [m] (F, K, 3) of the skinned patch frames, relative to the root joint.
 
     Body shape moves the rest centre first, then the frame follows the blended bones rigidly.
     """
@@ -193,7 +196,8 @@ def pose_frames(body: BodyTensors, patches: PatchTensors) -> tuple[Tensor, Tenso
 
 
 def patch_surroundings(body: BodyTensors, rotation: Tensor, centre: Tensor) -> Tensor:
-    """Surroundings of a posed patch (F, K, 75): the posed joints and gravity, in its own frame.
+    """Returns the surroundings (F, K, 75) of posed patches, each in its own frame: the offsets of the 24 joints from
+    its centre, ``saturated``, and the direction of gravity.
 
     The code of the whole pose must be learned for every place of the body; seen from the patch,
     a bent elbow near cloth looks alike on all garments.
@@ -205,7 +209,7 @@ def patch_surroundings(body: BodyTensors, rotation: Tensor, centre: Tensor) -> T
 
 
 def rest_frames(body: BodyTensors, patches: PatchTensors) -> tuple[Tensor, Tensor]:
-    """Rotations (F, K, 3, 3) and centres (F, K, 3) of the frames at rest on the body's shape."""
+    """Returns rotations (F, K, 3, 3) and centres [m] (F, K, 3) of the patch frames on the bodies in the rest pose."""
     shape = (patches.shapedirs[None] @ body.betas[:, None, :, None])[..., 0]
     centre = patches.centre[None] + shape
     return patches.rotation[None].expand(centre.shape[0], -1, -1, -1), centre
@@ -215,7 +219,8 @@ FRAME_ROWS = 4  # of posed coefficients: centre and rotation
 
 
 def posed_coefficients(posed: Posed, scale: Tensor) -> Tensor:
-    """World coefficients (F, K, 19, 3): a vertex is ``sum_i w_i [1, y, basis] @ C`` over its charts.
+    """Returns coefficients C [m] (F, K, 19, 3) relative to the root joint, in world axes: a vertex is
+    ``sum_i w_i [1, y, basis] @ C`` over its charts.
 
     Row 0 is the frame's centre, rows 1-3 turn the rest position y of the vertex in the
     patch frame, rows 4-18 are the network's jets turned into the world and scaled to metres.
@@ -226,7 +231,8 @@ def posed_coefficients(posed: Posed, scale: Tensor) -> Tensor:
 
 
 def vertex_positions(posed: Posed, patches: PatchTensors, charts: ChartTensors) -> Tensor:
-    """Vertices [m] (F, V, 3): the readable form, which export writes to ONNX and the fast path is tested against."""
+    """Returns the vertices [m] (F, V, 3) of posed patches relative to the root joint, of variant "paper" in the rest
+    pose. It is the readable form, which export writes to ONNX and which tests compare the fast one with."""
     coefficients = posed_coefficients(posed, patches.scale)
     frames, count = coefficients.shape[0], charts.patch.shape[0]
     gathered = torch.index_select(coefficients.flatten(2), 1, charts.patch.reshape(-1))
@@ -237,5 +243,6 @@ def vertex_positions(posed: Posed, patches: PatchTensors, charts: ChartTensors) 
 
 
 def paper_vertices(posed_rest: Tensor, skin_weights: Tensor, body: BodyTensors) -> Tensor:
-    """Vertices of the paper's variant: patches deformed in the rest pose (F, V, 3), then skinned."""
+    """Returns the posed vertices [m] (F, V, 3) of variant "paper": ``posed_rest`` [m] (F, V, 3), which patches deform
+    in the rest pose, skinned by ``skin_weights`` (V, 24)."""
     return skin_points(posed_rest, skin_weights, body.rotation, body.translation)

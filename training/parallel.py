@@ -1,6 +1,6 @@
 """Data parallel training under torchrun: every process draws its own batches, gradients are averaged.
 
-    torchrun --nproc-per-node 2 -m training.run --preset first --threads 1 --out runs/first
+    torchrun --nproc-per-node 2 -m training.run --preset shipped --threads 1 --out runs/first
 
 gloo on CPU, nccl on GPUs. Without torchrun there is one process and nothing here costs anything.
 """
@@ -15,37 +15,39 @@ from torch import Tensor, nn
 
 
 def start_rank(device: torch.device) -> None:
-    """Joins the process group when torchrun has started this process."""
+    """Joins the process group if torchrun has started this process; does nothing otherwise."""
     if "RANK" in os.environ and not dist.is_initialized():
         dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
 
 
 def stop() -> None:
-    """Leaves the process group, when all have come that far: the first to go would take the others' store with it."""
+    """Leaves the process group after all processes have come here: the first to leave would take the others' store
+    with it."""
     if dist.is_initialized():
         dist.barrier()
         dist.destroy_process_group()
 
 
 def rank() -> int:
-    """Number of this process, 0 for the one that writes."""
+    """Returns the number of this process: 0 for the one that writes files, and without torchrun."""
     return dist.get_rank() if dist.is_initialized() else 0
 
 
 def world_size() -> int:
-    """Number of processes."""
+    """Returns how many processes train together, 1 without torchrun."""
     return dist.get_world_size() if dist.is_initialized() else 1
 
 
 def share(module: nn.Module) -> None:
-    """Gives every process the weights and statistics of process 0."""
+    """Replaces the parameters and buffers of ``module`` in every process by those of process 0."""
     if dist.is_initialized():
         for tensor in module.state_dict().values():
             dist.broadcast(tensor, src=0)
 
 
 def average_gradients(module: nn.Module, clock_s: float) -> float:
-    """Averages the gradients of all processes in one message; returns process 0's ``clock_s``.
+    """Replaces the gradients of ``module`` by their means over all processes, in one message; returns ``clock_s`` of
+    process 0.
 
     The clock rides along because the rate and the end of a run follow it, and both must
     be the same everywhere.

@@ -23,12 +23,13 @@ STRIDE_S = 1.0 / 15.0
 
 
 def mirror_poses(poses: np.ndarray) -> np.ndarray:
-    """Poses (..., 24, 3) seen in the plane x = 0: left and right change places."""
+    """Returns ``poses`` (..., 24, 3) [rad] mirrored in the plane x = 0: left and right change places."""
     return poses[..., MIRROR, :] * np.array([1.0, -1.0, -1.0])
 
 
 def read_training_clips(folders: list[Path], *, held_out: tuple[str, ...]) -> list[MotionClip]:
-    """Motion files of ``folders`` in name order, without those named in ``held_out``."""
+    """Returns the clips in ``folders``, those of each folder in the order of their names, without those named in
+    ``held_out``."""
     clips = []
     for folder in folders:
         for path in sorted(folder.iterdir()):
@@ -38,7 +39,8 @@ def read_training_clips(folders: list[Path], *, held_out: tuple[str, ...]) -> li
 
 
 class PoseBank:
-    """Clean frames of clips; a clip's chance grows with the root of its length, so that long ones do not rule."""
+    """The poses to train on: frames of ``clips`` without glitches, 15 a second. A clip's chance to be drawn grows with
+    the root of its length, so that long ones do not rule. Raises ``MotionError`` without clips."""
 
     def __init__(self, clips: list[MotionClip], config: DataConfig) -> None:
         if not clips:
@@ -67,7 +69,8 @@ class PoseBank:
         return sum(len(f) for f in self.frames)
 
     def draw(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Poses (count, 24, 3) [rad]."""
+        """Returns random poses (count, 24, 3) [rad] of the clips, some of them with the legs of another pose, some
+        mirrored."""
         poses = self._pick(count, rng)
         mixed = rng.random(count) < self.config.mix_share
         other = self._pick(count, rng)
@@ -88,7 +91,8 @@ class PoseBank:
 
 
 def rows_of_three(poses: np.ndarray, step_rad: float, rng: np.random.Generator) -> np.ndarray:
-    """Poses (3 n, 24, 3): one step before each of ``poses`` (n, 24, 3), itself, and one step on, in a random direction.
+    """Returns poses (3 n, 24, 3) [rad], three for each of ``poses`` (n, 24, 3): the pose minus a random step, the pose,
+    and the pose plus that step.
 
     A step is normal in every component of every joint but the root, with the standard deviation ``step_rad`` [rad].
     """
@@ -98,7 +102,8 @@ def rows_of_three(poses: np.ndarray, step_rad: float, rng: np.random.Generator) 
 
 
 def pose_kinds(poses: np.ndarray) -> list[np.ndarray]:
-    """Poses (n, 24, 3) sorted into up to 128 kinds by the rotations of the body's joints (k-means, a fixed seed)."""
+    """Returns ``poses`` (n, 24, 3) [rad] in up to 128 arrays (m, 24, 3), one for each kind: clusters of the rotations
+    of the body's joints (k-means, a fixed seed)."""
     features = rotvec_to_matrix(poses[:, BODY_JOINTS])[..., :2].reshape(len(poses), -1).astype(np.float32)
     count = min(KIND_COUNT, len(poses))
     _, label = kmeans2(features, count, iter=10, minit="++", rng=np.random.default_rng(0))
@@ -106,6 +111,7 @@ def pose_kinds(poses: np.ndarray) -> list[np.ndarray]:
 
 
 def draw_betas(count: int, shape_count: int, config: DataConfig, rng: np.random.Generator) -> np.ndarray:
-    """Body shapes (count, shape_count): most of them the standard body, the others normal."""
+    """Returns random body shapes (count, shape_count): ``config.shape_share`` of them normal with the deviation
+    ``config.shape_deviation``, the others zeros, which is the standard body."""
     betas = rng.normal(0.0, config.shape_deviation, size=(count, shape_count))
     return betas * (rng.random((count, 1)) < config.shape_share)

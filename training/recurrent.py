@@ -26,7 +26,8 @@ TINY = 1e-12
 
 
 class MotionScale(nn.Module):
-    """Divides dynamic descriptors by their root mean square: nothing is subtracted, so zero stays zero."""
+    """A layer that divides motion features (n, 24, 12) by the root mean square of each, and cuts them off at
+    ``INPUT_LIMIT``. Nothing is subtracted, so zero stays zero."""
 
     inverse: Tensor
 
@@ -35,7 +36,7 @@ class MotionScale(nn.Module):
         self.register_buffer("inverse", torch.ones(JOINT_COUNT, feature_count))
 
     def set_from(self, samples: Tensor) -> None:
-        """Takes the sizes of ``samples`` (n, 24, 12)."""
+        """Sets the divisors to the root mean squares of ``samples`` (n, 24, 12), but no lower than a floor."""
         size = samples.square().mean(dim=0).sqrt()
         floor = torch.full_like(size, SMALLEST_RATE)
         floor[:, -3:] = SMALLEST_ACCELERATION
@@ -68,8 +69,8 @@ class CalmingGRU(nn.Module):
             self.weight_hh[2 * size :] = pendulums(size)
 
     def forward(self, x: Tensor, state: Tensor, dt_s: Tensor) -> Tensor:
-        """The state (F, H) after inputs ``x`` (F, n) lasted for ``dt_s`` (F,) [s]."""
-        state, size = self.calmed(state, dt_s)
+        """Returns the state (F, H) after the inputs ``x`` (F, n) have lasted for ``dt_s`` (F,) [s]."""
+        state, size = self.calm(state, dt_s)
         from_input, from_state = x @ self.weight_ih.mT, state @ self.weight_hh.mT
         input_reset, input_keep, input_new = from_input.chunk(3, dim=-1)
         state_reset, state_keep, state_new = from_state.chunk(3, dim=-1)
@@ -79,22 +80,23 @@ class CalmingGRU(nn.Module):
         largest = size + root_mean_square(input_new)
         return moved * torch.clamp(largest / torch.clamp(root_mean_square(moved), min=TINY), max=1.0)
 
-    def calmed(self, state: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns ``state`` after ``dt_s`` of calming, and its size (F, 1)."""
+    def calm(self, state: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns ``state`` (F, H) after it has decayed for ``dt_s`` (F,) [s], and its root mean square then (F, 1)."""
         before = root_mean_square(state)
         size = torch.clamp((before + self.offset) * torch.exp(-dt_s / self.decay_s)[:, None] - self.offset, min=0.0)
         return state * (size / torch.clamp(before, min=TINY)), size
 
 
 def root_mean_square(x: Tensor) -> Tensor:
-    """Root mean square (F, 1) of the rows of ``x``; its gradient is zero where a row is."""
+    """Returns the root mean square (F, 1) of each row of ``x`` (F, n). Its gradient is zero where a row is zero."""
     square = x.square().mean(dim=-1, keepdim=True)
     still = square == 0.0
     return torch.where(still, 0.0, torch.sqrt(torch.where(still, 1.0, square)))
 
 
 def pendulums(size: int) -> Tensor:
-    """Weights (H, H) from state to candidate with which small states swing, in pairs, at frequencies spread evenly.
+    """Returns weights (H, H), from the state to its candidate, with which pairs of small states swing at frequencies
+    between ``SLOWEST_HZ`` and ``FASTEST_HZ``, evenly in the logarithm. ``size`` is H.
 
     Gates of a small state stand at one half, so a step is s + (U s / 2 - s) / 2, and this is
     the turn exp(i w dt) for U = 2 (1 + 2 (exp(i w dt) - 1)).
@@ -111,7 +113,8 @@ def pendulums(size: int) -> Tensor:
 
 
 class DynamicEncoder(nn.Module):
-    """Motion features (F, 24, 12), state (F, H) and time step (F,) -> dynamic body code (F, 256) and the next state.
+    """A recurrent network that computes dynamic body codes (F, 256) and next states (F, H) of F bodies from their
+    motion features (F, 24, 12), states (F, H) and time steps [s] (F,).
 
     Nothing here has a bias: no motion and a zero state give a code of exactly zero, and the
     garment hangs as the static network drapes it. Codes count in deviations of the static code
@@ -138,7 +141,7 @@ class DynamicEncoder(nn.Module):
         self.register_buffer("code_scale", torch.full((config.body_code_size,), 1.0 / math.sqrt(config.state_size)))
 
     def set_code_scale(self, static_codes: Tensor) -> None:
-        """Takes the deviations of ``static_codes`` (n, 256) as the unit of dynamic ones."""
+        """Makes the standard deviations of ``static_codes`` (n, 256) the unit of dynamic codes."""
         self.code_scale.copy_(static_codes.std(dim=0) / math.sqrt(self.out.in_features))
 
     def forward(self, features: Tensor, state: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:

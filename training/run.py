@@ -34,7 +34,7 @@ from training import checkpoint, parallel
 from training.config import PRESETS, TrainConfig
 from training.dynamics import DynamicTrainer
 from training.poses import PoseBank, read_training_clips
-from training.starting import finetuned, start_from, with_garments, with_more_garments
+from training.starting import finetune_from, start_from, with_garments, with_more_garments
 from training.targets import SettledBank
 from training.trainer import BaseTrainer, Trainer
 from training.windows import WindowBank
@@ -43,7 +43,11 @@ HALVINGS_MAX = 8
 
 
 def train(trainer: BaseTrainer, out: Path) -> None:
-    """Runs until the configured minutes are used; checkpoints in ``out``, curves for TensorBoard beside them."""
+    """Takes steps of ``trainer`` until the configured minutes are used. Writes checkpoints to ``checkpoint.pt`` in
+    ``out``, and curves for TensorBoard to ``log`` there.
+
+    Raises ``InputError`` after more than ``HALVINGS_MAX`` steps that were not finite.
+    """
     from tqdm import tqdm
 
     config = trainer.config
@@ -105,7 +109,7 @@ def train(trainer: BaseTrainer, out: Path) -> None:
 
 @refusing
 def main() -> int:
-    """Command line entry."""
+    """Runs the command line. Returns 0, or 2 after a refusal, whose sentence it prints."""
     parser = argparse.ArgumentParser(description="Trains the draping network.")
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--preset", choices=sorted(PRESETS), default="shipped")
@@ -154,7 +158,7 @@ def _run(arguments: argparse.Namespace) -> None:
                 )
         state, config = checkpoint.load_checkpoint(arguments.resume / "checkpoint.pt")
     elif arguments.finetune:
-        config, weights = finetuned(arguments.finetune, arguments.garment)
+        config, weights = finetune_from(arguments.finetune, arguments.garment)
     else:
         config, weights = start_from(PRESETS[arguments.preset](), arguments.start, arguments.encoder)
         config = with_garments(config, arguments.garment)
@@ -192,7 +196,8 @@ def make_trainer(
     weights: dict[str, Any] | None = None,
     settled: SettledBank | None = None,
 ) -> Trainer | DynamicTrainer:
-    """The trainer that ``config`` asks for; refuses (``InputError``) ``settled`` drapes where it learns motion."""
+    """Returns the trainer of a network as ``config`` describes it: of motion for a dynamic network, else of the static
+    drape. ``weights`` are those to start from. Raises ``InputError`` for a dynamic network with ``settled`` drapes."""
     if config.model.dynamic:
         if settled is not None:
             raise InputError(

@@ -39,7 +39,7 @@ from drape.live.fold_step import FoldEffort, Frame, fold
 from drape.live.skin_walks import nearest_at_rest, skin_graph
 from training.batches import TrainingGarment
 from training.poses import PoseBank, draw_betas, read_training_clips
-from training.starting import finetuned, with_more_garments
+from training.starting import finetune_from, with_more_garments
 from training.targets import SettledDrapes, settled_digest
 from training.trainer import Trainer
 
@@ -48,30 +48,29 @@ FRAMES = 6  # of a file: the constants of a garment in a fabric cost as much as 
 
 
 class Settler:
-    """Lets drapes on ``body`` go on until they rest."""
+    """The solver of folds over ``body``, with steps enough that a drape comes to rest."""
 
     def __init__(self, body: BodyModel) -> None:
         self._skin = body_skin(body)
         self._graph = skin_graph(self._skin)
 
     def constants(self, garment: TrainingGarment, fabric: Fabric) -> FoldConstants:
-        """The constants of folds on the training mesh."""
-        moved = {
+        """Returns the constants of folds for the training mesh of ``garment``, made of ``fabric``."""
+        arrays = {
             item.name: value.numpy().astype(np.float64 if value.is_floating_point() else np.int64)
             for item in dataclasses.fields(ClothMesh)
             if isinstance(value := getattr(garment.cloth, item.name), Tensor)
         }
-        cloth, index = replace(garment.cloth, **moved), nearest_at_rest(garment.rest.vertices, self._skin)
-        held = leash_n_per_m(garment.rest.vertices, cloth.vertex_area, self._skin, index)
+        cloth, index = replace(garment.cloth, **arrays), nearest_at_rest(garment.rest.vertices, self._skin)
+        leash = leash_n_per_m(garment.rest.vertices, cloth.vertex_area, self._skin, index)
         if garment.band is not None:
             vertex, length_m = garment.band
-            held[vertex.numpy()] += STIFFNESS_N_M2 * length_m.numpy()
-        return FoldConstants.of(WornCloth(cloth, Material.of(fabric), held, self._graph, index))
+            leash[vertex.numpy()] += STIFFNESS_N_M2 * length_m.numpy()
+        return FoldConstants.of(WornCloth(cloth, Material.of(fabric), leash, self._graph, index))
 
-    def settled(self, constants: FoldConstants, vertices: np.ndarray, skin: np.ndarray) -> np.ndarray:
-        """Settled places [m] (F, V, 3) of ``vertices`` on bodies of samples ``skin`` (F, ..., 8), about one origin.
-
-        A drape that the solver loses is not finite.
+    def settle(self, constants: FoldConstants, vertices: np.ndarray, skin: np.ndarray) -> np.ndarray:
+        """Returns the drapes ``vertices`` [m] (F, V, 3) after they have come to rest over bodies with the posed samples
+        ``skin`` (F, ..., 8), relative to the same origin: [m] (F, V, 3) float32, NaN for a drape that the solver lost.
         """
         frames = []
         for start, samples in zip(vertices, skin.reshape(len(skin), -1, skin.shape[-1]), strict=True):
@@ -80,8 +79,9 @@ class Settler:
         return np.stack(frames).astype(np.float32)
 
 
-def make(trainer: Trainer, settler: Settler) -> SettledDrapes | None:
-    """A garment in a fabric at poses that ``trainer`` draws, settled; None if the solver lost one of the drapes."""
+def settle_drapes(trainer: Trainer, settler: Settler) -> SettledDrapes | None:
+    """Returns settled drapes of a garment, in a fabric and at ``FRAMES`` poses, all of which ``trainer`` draws; None if
+    the solver lost one of them."""
     rng, config = trainer.rng, trainer.config
     trainer.draw_fabric()
     assert trainer.fabric is not None
@@ -91,8 +91,8 @@ def make(trainer: Trainer, settler: Settler) -> SettledDrapes | None:
         body = trainer.source.pose(poses, betas)
         start = trainer.drape(body, garment, partition, passes=0).vertices
     assert body.tensors.skin is not None
-    made = settler.constants(garment, trainer.fabric)
-    vertices = settler.settled(made, start.numpy(), body.tensors.skin.numpy())
+    constants = settler.constants(garment, trainer.fabric)
+    vertices = settler.settle(constants, start.numpy(), body.tensors.skin.numpy())
     if not np.isfinite(vertices).all():
         return None
     return SettledDrapes(garment.name, settled_digest(garment), trainer.fabric, poses, betas, vertices)
@@ -100,7 +100,8 @@ def make(trainer: Trainer, settler: Settler) -> SettledDrapes | None:
 
 @refusing
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line entry."""
+    """Runs the command line: writes files of settled drapes into ``--out`` for ``--minutes``. Returns 0, or 2 after a
+    refusal, whose sentence it prints."""
     parser = argparse.ArgumentParser(
         prog="python -m training.settled", description="Drapes of a model, let go on until they rest."
     )
@@ -113,7 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    config, weights = finetuned(options.model, options.garment)
+    config, weights = finetune_from(options.model, options.garment)
     config = with_more_garments(config, options.beside)
     folders = options.motions or [folder for folder in [data_folder("motions")] if folder is not None]
     bank = PoseBank(read_training_clips(folders, held_out=config.data.held_out), config.data)
@@ -124,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         trainer.rng = np.random.default_rng((options.seed, 77))  # garments stay those of the configuration
         settler, begun = Settler(trainer.body), time.monotonic()
         while time.monotonic() - begun < 60.0 * options.minutes:
-            drapes = make(trainer, settler)
+            drapes = settle_drapes(trainer, settler)
             if drapes is None:
                 lost += 1
                 continue

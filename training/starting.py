@@ -22,8 +22,11 @@ CHECKPOINT, MANIFEST = "checkpoint.pt", "manifest.json"
 
 
 def read_model(model: Path) -> tuple[Weights, ModelConfig, tuple[str, ...]]:
-    """Weights, sizes and held-out clips of ``model``: a checkpoint, the folder of a run or of an exported model, or the
-    name of one under drape/assets/models."""
+    """Returns the weights by name, the sizes and the held-out clips of ``model``: a checkpoint, the folder of a run or
+    of an exported model, or the name of one under drape/assets/models.
+
+    Raises ``InputError`` where there is none, and ``ArtifactError`` where it cannot be read.
+    """
     for folder in (model, MODELS_DIR / model):
         if (folder / MANIFEST).is_file():
             return load_exported(folder)
@@ -35,16 +38,18 @@ def read_model(model: Path) -> tuple[Weights, ModelConfig, tuple[str, ...]]:
             got=model.name,
             cure="Name one that is there.",
         )
-    payload, found = checkpoint.load_checkpoint(path)
-    return payload["model"], found.model, found.data.held_out
+    payload, config = checkpoint.load_checkpoint(path)
+    return payload["model"], config.model, config.data.held_out
 
 
 def start_from(
     config: TrainConfig, start: Path | None, encoder: Path | None = None
 ) -> tuple[TrainConfig, Weights | None]:
-    """Returns ``config`` on top of the model ``start``, and the weights there; a static preset takes none.
+    """Returns the configuration and the weights with which a run of ``config`` begins. A dynamic network begins with
+    the static model ``start``, of which it takes sizes, weights and held-out clips, and with the recurrent ``encoder``
+    of an exported model (folder or name), if that is given. A static one begins with None for weights.
 
-    ``encoder``: an exported model, or the name of one, whose recurrent encoder the run begins with.
+    Raises ``InputError`` for a dynamic network without ``start``, and for a static one with it.
     """
     if config.model.dynamic != (start is not None):
         raise InputError(
@@ -69,11 +74,11 @@ def start_from(
     return replace(config, model=model, data=replace(config.data, held_out=held_out)), weights
 
 
-def finetuned(model: Path, garments: list[str] | None) -> tuple[TrainConfig, Weights]:
-    """The configuration that goes on training ``model`` on ``garments`` alone, or else on the shipped preset's, and its
-    weights.
+def finetune_from(model: Path, garments: list[str] | None) -> tuple[TrainConfig, Weights]:
+    """Returns the configuration and the weights of a run that goes on training ``model`` (as of ``read_model``) on
+    ``garments`` alone, or on the shipped preset's where none are given.
 
-    A dynamic model's static drape is trained; --preset dynamic adds motion to the result.
+    Of a dynamic model the static network is trained; --preset dynamic adds motion to the result.
     """
     weights, sizes, held_out = read_model(model)
     config = with_garments(finetune(), garments) if garments else continuation()
@@ -83,24 +88,25 @@ def finetuned(model: Path, garments: list[str] | None) -> tuple[TrainConfig, Wei
 
 
 def with_garments(config: TrainConfig, garments: list[str] | None) -> TrainConfig:
-    """Returns ``config`` with ``garments``, files or names of designs, and no neighbours of theirs; unchanged without
-    any.
-    """
+    """Returns ``config`` with ``garments``, files or names of designs, in place of its own, and without neighbours of
+    designs; unchanged if there are none."""
     if not garments:
         return config
     return replace(config, data=replace(config.data, garments=tuple(garments), variants=0, own_share=1.0))
 
 
 def with_more_garments(config: TrainConfig, files: list[str] | None) -> TrainConfig:
-    """Returns ``config`` with garments besides its own: ``files`` and folders of them."""
+    """Returns ``config`` with ``files``, garment files or folders of them, beside its own garments."""
     more = [str(path) for path in find_garments(files)] if files else []
     return replace(config, data=replace(config.data, garments=(*config.data.garments, *more)))
 
 
 def load_exported(folder: Path) -> tuple[dict[str, Tensor], ModelConfig, tuple[str, ...]]:
-    """Weights of the static network in ``folder``, its sizes, and the clips that it was never trained on.
+    """Returns the weights by name of the static network of the exported model in ``folder``, its sizes, and the names
+    of the clips that it was never trained on.
 
-    A recurrent encoder is not read: what is trained from here is the drape of single poses.
+    A recurrent encoder is not read: what is trained from here is the drape of single poses. Raises ``ArtifactError``
+    where the folder does not hold the weights.
     """
     manifest = load_manifest(folder)
     try:
@@ -120,9 +126,10 @@ def load_exported(folder: Path) -> tuple[dict[str, Tensor], ModelConfig, tuple[s
 
 
 def load_encoder(folder: Path) -> tuple[dict[str, Tensor], ModelConfig]:
-    """Weights of the recurrent encoder of the exported model in ``folder``, and the sizes of its network.
+    """Returns the weights by name of the recurrent encoder of the exported model in ``folder``, and the sizes of its
+    network. A static model that was trained on from that one gets its motion this way.
 
-    So that a static model which went on from that one has motion too. Raises ``ArtifactError`` where it has none.
+    Raises ``ArtifactError`` where the model is static.
     """
     manifest = load_manifest(folder)
     config = model_config_from(manifest.network)
@@ -133,9 +140,9 @@ def load_encoder(folder: Path) -> tuple[dict[str, Tensor], ModelConfig]:
             got="a static one",
             cure="Name another, or train with --preset dynamic.",
         )
-    wanted = {name: made for name, made in OneFit(config).state_dict().items() if name.startswith("dynamic.")}
+    wanted = {name: value for name, value in OneFit(config).state_dict().items() if name.startswith("dynamic.")}
     return _shaped(read_parameters(folder, manifest.weights), wanted), config
 
 
 def _shaped(read: dict[str, np.ndarray], wanted: dict[str, Tensor]) -> dict[str, Tensor]:
-    return {name: torch.from_numpy(read[name]).reshape(made.shape) for name, made in wanted.items()}
+    return {name: torch.from_numpy(read[name]).reshape(value.shape) for name, value in wanted.items()}

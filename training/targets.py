@@ -24,8 +24,9 @@ TRIES = 64
 
 @dataclass(frozen=True, eq=False)
 class SettledDrapes:
-    """``vertices`` [m] (F, V, 3) relative to the root, at ``poses`` (F, 24, 3) [rad] of bodies ``betas`` (F, S), of the
-    training garment ``garment`` made of ``fabric``; ``digest`` of that garment's rest mesh."""
+    """F settled drapes of one training garment, named ``garment``, made of ``fabric``: ``vertices`` [m] (F, V, 3)
+    relative to the root joint, at ``poses`` (F, 24, 3) [rad] of bodies of shapes ``betas`` (F, S). ``digest`` is the
+    ``settled_digest`` of the garment."""
 
     garment: str
     digest: int
@@ -35,19 +36,19 @@ class SettledDrapes:
     vertices: np.ndarray
 
     def save(self, path: Path) -> None:
-        """Writes ``path``, whole or not at all."""
-        said = {"garment": self.garment, "digest": self.digest, "fabric": dataclasses.asdict(self.fabric)}
+        """Writes the drapes as the file ``path``, whole or not at all."""
+        header = {"garment": self.garment, "digest": self.digest, "fabric": dataclasses.asdict(self.fabric)}
         with whole_file(path) as file:
-            np.savez(file, said=json.dumps(said), poses=self.poses, betas=self.betas, vertices=self.vertices)
+            np.savez(file, said=json.dumps(header), poses=self.poses, betas=self.betas, vertices=self.vertices)
 
     @classmethod
     def read(cls, path: Path) -> SettledDrapes:
-        """The drapes in ``path``; refuses (``ArtifactError``) a file that ``save`` did not write."""
+        """Returns the drapes in the file ``path``. Raises ``ArtifactError`` where ``save`` did not write it."""
         try:
-            with np.load(path, allow_pickle=False) as found:
-                said = json.loads(str(found["said"]))
-                arrays = {name: found[name] for name in ("poses", "betas", "vertices")}
-                return cls(said["garment"], said["digest"], Fabric(**said["fabric"]), **arrays)
+            with np.load(path, allow_pickle=False) as stored:
+                header = json.loads(str(stored["said"]))
+                arrays = {name: stored[name] for name in ("poses", "betas", "vertices")}
+                return cls(header["garment"], header["digest"], Fabric(**header["fabric"]), **arrays)
         except (OSError, ValueError, KeyError, TypeError, InputError) as error:
             raise ArtifactError(
                 f"settled drapes {path.name}",
@@ -58,13 +59,17 @@ class SettledDrapes:
 
 
 def settled_digest(garment: TrainingGarment) -> int:
-    """A checksum of the rest mesh: targets are of its vertices."""
+    """Returns a checksum (CRC-32) of the garment's vertices and faces at rest. It tells whether settled drapes are of
+    that mesh."""
     rest = np.ascontiguousarray(garment.rest.vertices.astype(np.float32))
     return zlib.crc32(garment.rest.faces.astype(np.int64).tobytes(), zlib.crc32(rest.tobytes()))
 
 
 class SettledBank:
-    """The files of a folder, to which others may be added while training runs."""
+    """The settled drapes in the files of ``folder``, to which files may be added while training runs.
+
+    Raises ``NotFound`` where it has none.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -82,11 +87,10 @@ class SettledBank:
     def draw(
         self, garments: Sequence[TrainingGarment], rng: np.random.Generator
     ) -> tuple[TrainingGarment, SettledDrapes]:
-        """Returns a random garment of ``garments`` and the drapes in one of its files.
+        """Returns the drapes in a random file of one of ``garments``, and that garment.
 
-        Raises ``ArtifactError`` where ``TRIES`` files are none of these garments'.
-
-        Processes of a parallel run draw neighbours of the designs of their own; there are no files of those.
+        Processes of a parallel run have neighbours of designs of their own, of which there are no files. Raises
+        ``ArtifactError`` where ``TRIES`` random files are of none of ``garments``.
         """
         files, known = self._files(), {(garment.name, settled_digest(garment)): garment for garment in garments}
         for _ in range(TRIES):
@@ -102,7 +106,8 @@ class SettledBank:
 
 
 def distance(vertices: Tensor, settled: SettledDrapes, cloth: ClothMesh) -> Tensor:
-    """Mean squared distance [m^2] of ``vertices`` (F, V, 3) to the settled ones, by area of the ``cloth`` at rest."""
+    """Returns the mean squared distance [m^2] () of ``vertices`` [m] (F, V, 3) to those of ``settled``, weighted by the
+    area of the ``cloth`` at rest."""
     target = torch.from_numpy(settled.vertices).to(vertices)
     area = cloth.vertex_area / cloth.vertex_area.sum()
     return ((vertices - target).square().sum(dim=-1) @ area).mean()

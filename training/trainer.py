@@ -31,22 +31,24 @@ SAMPLE_VERTICES = 384  # per step, for the disagreement of charts
 
 @dataclass(frozen=True, eq=False)
 class BatchLoss:
-    """A loss [J/m^2], its ``parts`` [J/m^2], and the disagreement [m^2] of charts, for the report."""
+    """What a batch costs: the ``loss`` [J/m^2] (), its ``parts`` () by name, [J/m^2] where the name has no unit, and
+    the mean squared disagreement of ``charts`` [m^2] ()."""
 
     loss: Tensor
     parts: dict[str, Tensor]
     charts: Tensor
 
     def report(self) -> dict[str, float]:
-        """Numbers for curves and progress bar."""
-        found = {name: float(value.detach()) for name, value in self.parts.items()}
-        found["disagreement_mm"] = 1e3 * math.sqrt(max(float(self.charts.detach()), 0.0))
-        return found | {"loss": float(self.loss.detach())}
+        """Returns the parts, "disagreement_mm" (a root mean square) and "loss" as numbers by name."""
+        numbers = {name: float(value.detach()) for name, value in self.parts.items()}
+        numbers["disagreement_mm"] = 1e3 * math.sqrt(max(float(self.charts.detach()), 0.0))
+        return numbers | {"loss": float(self.loss.detach())}
 
 
 @dataclass(frozen=True, eq=False)
 class DrapedBatch:
-    """Posed patches of F bodies, their ``posed_coefficients``, and vertices [m] (F, V, 3) relative to the root."""
+    """A garment draped on F bodies: its posed patches, their ``posed_coefficients`` (F, K, 19, 3), and its vertices [m]
+    (F, V, 3) relative to the root joint."""
 
     posed: Posed
     coefficients: Tensor
@@ -104,11 +106,11 @@ class BaseTrainer:
         raise NotImplementedError
 
     def objective(self) -> BatchLoss:
-        """The loss of a batch that is drawn now."""
+        """Draws a batch and returns its loss."""
         raise NotImplementedError
 
     def draw_fabric(self) -> None:
-        """Draws the fabric of this step."""
+        """Draws the fabric that all garments are made of from now on; none for a network that knows no fabrics."""
         if self.fabrics is not None:
             self._wear(self.fabrics.draw(self.rng))
 
@@ -120,11 +122,11 @@ class BaseTrainer:
         return list(self.model.parameters())
 
     def progress(self) -> float:
-        """Share of the run's time that is used."""
+        """Returns the share of the run's time that is used, from 0 to 1."""
         return min(1.0, self.elapsed_s / (60.0 * self.config.minutes))
 
     def rate(self) -> float:
-        """Learning rate: a linear warm-up, then a cosine over the time the run has."""
+        """Returns the learning rate of the next step: a linear warm-up times a cosine over the time of the run."""
         config = self.config
         warm = min(1.0, (self.step_count + 1) / config.warmup_steps)
         cosine = config.final_rate + 0.5 * (config.learning_rate - config.final_rate) * (
@@ -134,7 +136,8 @@ class BaseTrainer:
 
     @flushed()
     def step(self, clock_s: float = 0.0) -> dict[str, float]:
-        """One step at ``clock_s`` of the run; returns its loss parts, or {"skipped": 1} when it was not finite."""
+        """Takes one step of the optimiser at ``clock_s`` of the run. Returns ``BatchLoss.report`` and "gradient_norm",
+        or {"skipped": 1} and leaves the weights where the gradient was not finite."""
         config = self.config
         if (self.step_count + 1) % config.data.fresh_steps == 0:
             self.wardrobe.refresh(self.rng)
@@ -162,17 +165,15 @@ class BaseTrainer:
         dynamic_code: Tensor | None = None,
         passes: int | None = None,
     ) -> DrapedBatch:
-        """Returns the drape of ``garment`` on the bodies of ``batch``; ``passes`` is that of ``OneFit``."""
-        config = self.config
-        embedding = self.model.garment(partition.encoded(self.fabric))
+        """Returns the drape of ``garment``, with the patches of ``partition``, on the bodies of ``batch``.
+        ``dynamic_code`` and ``passes`` are those of ``OneFit``."""
+        embedding = self.model.garment(partition.encoder_inputs(self.fabric))
         posed = self.model(
             batch.tensors, partition.patches, embedding, dynamic_code, charts=partition.consensus, passes=passes
         )
-        said = posed_coefficients(posed, partition.patches.scale)
-        variant = config.model.variant
-        return DrapedBatch(
-            posed, said, losses.garment_vertices(said, partition, garment, batch.tensors, variant=variant)
-        )
+        coefficients, variant = posed_coefficients(posed, partition.patches.scale), self.config.model.variant
+        vertices = losses.garment_vertices(coefficients, partition, garment, batch.tensors, variant=variant)
+        return DrapedBatch(posed, coefficients, vertices)
 
     def _planes(self, vertices: Tensor, batch: BodyBatch) -> losses.SampledPlanes:
         """Planes that some of ``vertices`` [m] (F, V, 3), drawn now, touch."""
@@ -213,7 +214,7 @@ class BaseTrainer:
         }
 
     def restore(self, state: dict) -> None:
-        """Puts the run into the saved ``state``.
+        """Puts the run into ``state``, which ``BaseTrainer.state`` returned.
 
         In a parallel run only process 0 continues its random draws exactly.
         """
@@ -235,7 +236,10 @@ class BaseTrainer:
 
 
 def take_weights(model: OneFit, weights: Mapping[str, Tensor]) -> None:
-    """Loads ``weights`` into ``model``. Weights of a static model leave the recurrent encoder as it is."""
+    """Loads ``weights`` into ``model``. Weights of a static model leave the recurrent encoder as it is.
+
+    Raises ``ArtifactError`` where they are those of another network.
+    """
     try:
         missing, unknown = model.load_state_dict(weights, strict=False)
     except RuntimeError as error:
@@ -251,7 +255,8 @@ def take_weights(model: OneFit, weights: Mapping[str, Tensor]) -> None:
 
 
 class Trainer(BaseTrainer):
-    """Learns the drape of single poses from ``bank``. Steps without corrections learn ``settled`` drapes, if any."""
+    """The trainer of the static drape, in the poses of ``bank``. Steps without corrections learn ``settled`` drapes, if
+    any are given."""
 
     def __init__(
         self,
@@ -312,10 +317,10 @@ class Trainer(BaseTrainer):
         energy = torch.stack(list(parts.values())).sum(dim=0).mean()
         apart, charts = distance(vertices, target, garment.cloth), self._disagreement(draped.coefficients, partition)
         # The mean of a cloth that folds on the skin lies below it: contact counts in full.
-        found = config.settled_weight * apart + config.settled_energy * energy + contact
+        loss = config.settled_weight * apart + config.settled_energy * energy + contact
         means = {"settled_mm": 1e3 * apart.sqrt(), "settled_energy": energy, "settled_contact": contact}
         lost = self._lost_area(vertices, garment, means)
-        return BatchLoss(found + config.disagreement_weight * charts + lost, means, charts)
+        return BatchLoss(loss + config.disagreement_weight * charts + lost, means, charts)
 
     def _lost_area(self, vertices: Tensor, garment: TrainingGarment, means: dict[str, Tensor]) -> Tensor | float:
         """What lost area adds to the loss; its mean root joins ``means``."""
@@ -326,7 +331,8 @@ class Trainer(BaseTrainer):
         return self.config.area_weight * lost
 
     def objective(self) -> BatchLoss:
-        """The loss of a batch that is drawn now."""
+        """Draws a batch and returns its loss: the energy of its drapes, the disagreement of charts, and what the
+        configuration adds."""
         config = self.config
         passes, smooth = self._passes(), self._smooth()
         if passes == 0 and self.settled is not None:

@@ -25,10 +25,11 @@ from training.garment_design import DESIGNS, build_design, vary_design
 
 
 class Wardrobe:
-    """Garments with their partitions: of designs and their variants, or of garment files, meshes through intake.
+    """The garments of a run with their partitions: designs and variants of them, or garment files after intake.
 
-    With ``fabrics`` hinges are flat at rest and some variants are cut with another grain; without, cloth rests as it is
-    modelled, as of networks that know no fabric. ``process`` gives every process of a parallel run variants of its own.
+    With ``fabrics`` hinges are flat at rest and some variants are cut with another grain. Without, for networks that
+    know no fabric, cloth rests as it is modelled. ``process`` gives every process of a parallel run variants of its
+    own. Raises ``InputError`` for a garment that is no design and no file.
 
     A garment's partition into patches is known by its random seed, so that a checkpoint holds seeds and ``restore``
     draws the same partitions again.
@@ -65,8 +66,8 @@ class Wardrobe:
     ) -> Iterator[tuple[str, np.ndarray, np.ndarray, RestState | None]]:
         """Label, vertices and faces of a garment and its neighbours, and how its cloth rests where it says so."""
         if Path(name).is_file():
-            taken = open_garment(Path(name), body)
-            yield name, taken.vertices.astype(np.float64), taken.fine_faces.astype(np.int64), taken.rest_state()
+            garment = open_garment(Path(name), body)
+            yield name, garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), garment.rest_state()
             return
         if name not in DESIGNS:
             raise InputError(
@@ -100,9 +101,9 @@ class Wardrobe:
         return rest_state.flat_rest(rest.vertices, rest.faces, warp), warp
 
     def _training_garment(
-        self, label: str, rest: RestGarment, seeds: list[int], made: tuple[RestState, np.ndarray]
+        self, label: str, rest: RestGarment, seeds: list[int], state_and_warp: tuple[RestState, np.ndarray]
     ) -> TrainingGarment:
-        state, warp = made
+        state, warp = state_and_warp
         cloth = ClothMesh.of(state, rest.faces, len(rest.vertices)).like(torch.zeros(1, device=self.device))
         weights = torch.from_numpy(rest.binding.weights.astype(np.float32)).to(self.device)
         waist = waistband(rest.vertices, rest.faces, self._body)
@@ -118,14 +119,15 @@ class Wardrobe:
         return draw_partition(rest, self._skin, seed=seed, span=span, device=self.device, warp=warp)
 
     def draw(self, rng: np.random.Generator) -> tuple[TrainingGarment, Partition]:
-        """A garment and one of its partitions: a named design with chance ``own_share``, else any."""
+        """Returns a random garment and one of its partitions. With chance ``own_share`` it is a named design or a file,
+        else any garment."""
         own = rng.random() < self.config.own_share
         place = self.own[int(rng.integers(len(self.own)))] if own else int(rng.integers(len(self.garments)))
         garment = self.garments[place]
         return garment, garment.partitions[int(rng.integers(len(garment.partitions)))]
 
     def refresh(self, rng: np.random.Generator) -> None:
-        """Replaces a random partition by one never seen."""
+        """Replaces a random partition of a random garment by one that is drawn anew."""
         garment = self.garments[int(rng.integers(len(self.garments)))]
         self._replace(garment, int(rng.integers(len(garment.partitions))), int(rng.integers(2**31)))
 
@@ -138,7 +140,7 @@ class Wardrobe:
         return [list(garment.seeds) for garment in self.garments]
 
     def restore(self, seeds: list[list[int]]) -> None:
-        """Draws the partitions of ``seeds`` where they differ from those at hand."""
+        """Replaces the partitions whose random seeds differ from ``seeds`` by those that ``seeds`` draw."""
         for garment, wanted in zip(self.garments, seeds, strict=True):
             for place, seed in enumerate(wanted):
                 if garment.seeds[place] != seed:

@@ -21,28 +21,33 @@ SWAY_HZ = (0.3, 2.0)
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """B windows of N frames: ``poses`` (B, N, 24, 3) [rad], ``trans`` (B, N, 3) [m], ``dt_s`` (B, N-1) between them."""
+    """B windows of N frames: ``poses`` (B, N, 24, 3) [rad], translations of the root ``trans`` (B, N, 3) [m], and the
+    times ``dt_s`` (B, N-1) between frames."""
 
     poses: np.ndarray
     trans: np.ndarray
     dt_s: np.ndarray
 
     def kinematics(self, body: BodyModel, betas: np.ndarray) -> Kinematics:
-        """Kinematics (B, N, ...) of the bodies of shapes ``betas`` (B, S)."""
+        """Returns the kinematics (B, N, ...) of bodies of shapes ``betas`` (B, S) that move as the windows say."""
         shape = self.poses.shape[:2]
         poses, trans = self.poses.reshape(-1, *self.poses.shape[2:]), self.trans.reshape(-1, 3)
         at = kinematics(body, poses, trans, np.repeat(betas, shape[1], axis=0))
         return Kinematics(*(array.reshape(*shape, *array.shape[1:]) for array in (at.static, at.joints, at.rotations)))
 
     def features(self, body: BodyModel, betas: np.ndarray) -> np.ndarray:
-        """Motion features (B, N-2, 24, 12) of all frames but the first two."""
+        """Returns the motion features (B, N-2, 24, 12) of all frames but the first two, of bodies of shapes ``betas``
+        (B, S)."""
         at = self.kinematics(body, betas)
         now, before, earlier = at[:, 2:], at[:, 1:-1], at[:, :-2]
         return motion_features(now, before, earlier, self.dt_s[:, 1:], self.dt_s[:, :-1])
 
 
 class WindowBank:
-    """Clips from which windows are drawn; a clip's chance grows with the root of its length."""
+    """The clips from which windows are drawn. A clip's chance grows with the root of its length.
+
+    Raises ``MotionError`` where no clip has enough frames in a row without a glitch.
+    """
 
     def __init__(self, clips: list[MotionClip], data: DataConfig, motion: MotionConfig) -> None:
         self.mirror_share, self.motion = data.mirror_share, motion
@@ -65,7 +70,7 @@ class WindowBank:
         return sum(clip.frame_count for clip in self.clips)
 
     def draw(self, count: int, frames: int, rng: np.random.Generator) -> Windows:
-        """Returns ``count`` windows of ``frames`` frames."""
+        """Returns ``count`` random windows of ``frames`` frames, as ``MotionConfig`` says."""
         drawn = [self._draw_one(frames, rng) for _ in range(count)]
         poses, trans, dt_s = (np.stack(parts) for parts in zip(*drawn, strict=True))
         flip = rng.random(count) < self.mirror_share
@@ -83,11 +88,11 @@ class WindowBank:
         if rng.random() < self.motion.stop_share:
             last = int(rng.integers(1, frames))
         # Time goes on after a stop, the body does not.
-        held = np.minimum(np.arange(frames), last)
-        trans = clip.trans[index[held]] - clip.trans[index[0]]
+        frame = np.minimum(np.arange(frames), last)
+        trans = clip.trans[index[frame]] - clip.trans[index[0]]
         if rng.random() < self.motion.sway_share:
-            trans = trans + self._sway(time_s[held], rng)
-        return clip.poses[index[held]], trans, dt_s
+            trans = trans + self._sway(time_s[frame], rng)
+        return clip.poses[index[frame]], trans, dt_s
 
     def _clean_steps(self, frames: int, rng: np.random.Generator) -> tuple[tuple[int, int], np.ndarray]:
         """A clip and a first frame, and steps (frames - 1,) in frames of the clip that meet no glitch."""

@@ -20,7 +20,8 @@ STEPS = 120  # at most; they end a few hundredths of a joule above where they le
 
 
 def stored_apart(task: physics.OptimumTask, folder: Path | None) -> tuple[physics.Optimum, bool]:
-    """The optimum of ``minimise_apart`` for ``task``, and whether it was in ``folder`` (``physics_cache.cached``)."""
+    """Returns the optimum of ``minimise_apart`` for ``task``, and whether it was in ``folder`` already
+    (``physics_cache.cached``)."""
     plain = physics_cache.cache_key(task, STEPS, physics.TOLERANCE)
     own = [Path(__file__), *(Path(str(module.__file__)) for module in (apart, triangle_pairs))]
     headers = [SOURCE / f"{name}.hpp" for name in ("apart", "pairs", "triangle")]
@@ -31,13 +32,15 @@ def stored_apart(task: physics.OptimumTask, folder: Path | None) -> tuple[physic
 def minimise_apart(
     task: physics.OptimumTask, *, step_limit: int = STEPS, tolerance: float = physics.TOLERANCE
 ) -> physics.Optimum:
-    """The drape of least energy that is reached from the first start of ``task`` without passing through itself.
+    """Returns the drapes of least energy that are reached from the first start of ``task`` without the cloth passing
+    through itself, in ``step_limit`` steps at most.
 
-    Energies are of cloth and body, without the barrier. ``converged`` and ``residual_n`` count the barrier's force.
+    Energies are of cloth and body, without the barrier. ``converged`` and ``residual_n`` count the barrier's force, of
+    which ``tolerance`` times the weight may be left.
     """
 
     def descend(cloth: Cloth, posed: np.ndarray, starts: list[np.ndarray], band: Band | None) -> State:
-        one = apart.ApartDescent(cloth, task.contact, posed, starts[0], band=band)
-        return one.run(step_limit, tolerance * cloth.weight_n)
+        descent = apart.ApartDescent(cloth, task.contact, posed, starts[0], band=band)
+        return descent.run(step_limit, tolerance * cloth.weight_n)
 
     return physics.descend_from_starts(task, descend)

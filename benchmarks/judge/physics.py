@@ -37,15 +37,16 @@ Descend = Callable[[Cloth, np.ndarray, list[np.ndarray], Band | None], State]
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
-    """A waistband over the posed bodies: its ``vertex`` and ``length_m`` (n,), held at ``anchor`` [m] (F, n, 3)."""
+class Waistband:
+    """A waistband over F posed bodies: springs hold its n vertices ``vertex`` (n,) at ``anchor`` [m] (F, n, 3);
+    ``length_m`` (n,) is the length of the band that each stands for."""
 
     vertex: np.ndarray
     length_m: np.ndarray
     anchor: np.ndarray
 
     def over(self, frame: int, vertex_count: int) -> Band:
-        """The springs of one frame."""
+        """Returns the springs of one ``frame``, of all vertices of a mesh with ``vertex_count``."""
         band = Band(np.zeros((vertex_count, 3)), np.zeros(vertex_count))
         band.anchor[self.vertex] = self.anchor[frame]
         band.n_per_m[self.vertex] = STIFFNESS_N_M2 * self.length_m
@@ -54,10 +55,11 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class OptimumTask:
-    """A ``cloth`` of ``material`` to be draped over the posed bodies (F, Vb, 3), from ``starts`` (F, V, 3) [m].
+    """What is to be minimised: a ``cloth`` of ``material`` over the posed bodies ``body_vertices`` [m] (F, Vb, 3), from
+    each of ``starts`` [m] (F, V, 3).
 
-    ``charts`` are the garment's patches if it has any. ``held`` is its waistband: without friction trousers would slide
-    off the hips. Refusals say ``name``.
+    ``charts`` are the garment's patches, if it has any. ``waistband`` holds it, if it has one: without friction
+    trousers would slide off the hips. Errors name the garment ``name``.
     """
 
     cloth: ClothMesh
@@ -66,7 +68,7 @@ class OptimumTask:
     body_vertices: np.ndarray
     starts: tuple[np.ndarray, ...]
     charts: Charts | None = None
-    held: Held | None = None
+    waistband: Waistband | None = None
     name: str = "garment"
 
     @classmethod
@@ -82,20 +84,22 @@ class OptimumTask:
         skinned: np.ndarray,
         starts: tuple[np.ndarray, ...],
     ) -> OptimumTask:
-        """The task of ``garment`` with its patches, its waist held at its places in ``skinned`` (F, V, 3) [m]."""
-        held = held_by_waist(garment, body, skinned)
-        return cls(cloth, material, contact, body_vertices, starts, charts_of(garment), held, garment.name)
+        """Returns the task of ``garment`` with its patches, its waistband held at its places in ``skinned`` [m]
+        (F, V, 3)."""
+        charts = Charts(garment.chart_patch, garment.chart_weight)
+        band = anchored_waistband(garment, body, skinned)
+        return cls(cloth, material, contact, body_vertices, starts, charts, band, garment.name)
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """The drapes that the minimiser reached, ``vertices`` [m] (F, V, 3), and how.
+    """The drapes that a minimiser reached over F bodies, ``vertices`` [m] (F, V, 3), and how.
 
-    ``start_j`` and ``energy_j`` (F,) [J] are the energies of the lowest start and of ``vertices`` over the blended
-    planes, with the waistband's, relative to the height of the first start; ``nearest_j`` (F,) is that of ``vertices``
-    over the planes of the nearest body vertices. ``residual_n`` (F,) is the norm of the force left [N]; ``converged``
-    (F,) says that it is at most the tolerance times the weight. ``steps`` (F,) counts Newton's, ``processor_s`` (F,) is
-    their processor time and ``seconds`` the clock's for all frames.
+    ``start_j`` and ``energy_j`` (F,) [J] are the energies (``total_j``) of the lowest start and of ``vertices``.
+    ``nearest_j`` (F,) [J] is that of ``vertices`` with contact over the planes of the nearest body vertices.
+    ``residual_n`` (F,) [N] is the norm of the force that is left, and ``converged`` (F,) says whether it is at most the
+    tolerance times the weight. ``steps`` (F,) counts steps of Newton's method, ``processor_s`` (F,) is their processor
+    time, and ``seconds`` the wall time of all frames.
     """
 
     vertices: np.ndarray
@@ -109,10 +113,11 @@ class Optimum:
     seconds: float
 
 
-def held_by_waist(garment: Garment, body: BodyModel, skinned: np.ndarray) -> Held | None:
-    """The waistband of ``garment``, anchored at its places in ``skinned`` (F, V, 3); None if shoulders hold it."""
+def anchored_waistband(garment: Garment, body: BodyModel, skinned: np.ndarray) -> Waistband | None:
+    """Returns the waistband of ``garment``, held at its places in ``skinned`` [m] (F, V, 3); None if shoulders hold the
+    garment."""
     band = waistband(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), body)
-    return None if band is None else Held(band.vertex, band.length_m, skinned[:, band.vertex])
+    return None if band is None else Waistband(band.vertex, band.length_m, skinned[:, band.vertex])
 
 
 # Energies [J] (F,) by part. Contact is over the blended planes: those of the nearest body vertices, which training
@@ -120,19 +125,16 @@ def held_by_waist(garment: Garment, body: BodyModel, skinned: np.ndarray) -> Hel
 energy_parts = partial(metrics.static_parts, distance=blended_distance)
 
 
-def charts_of(garment: Garment) -> Charts:
-    """The partition of unity of a garment's patches."""
-    return Charts(garment.chart_patch, garment.chart_weight)
-
-
 def corner_slopes(cloth: ClothMesh) -> np.ndarray:
-    """1 / altitude [1/m] (3, F) of every triangle's corners at rest: the gradients of their barycentric coordinates."""
+    """Returns 1 / altitude [1/m] (3, F) at the three corners of every triangle at rest: the lengths of the gradients of
+    their barycentric coordinates."""
     a, b, c, d = cloth.inverse_shape
     return np.stack([np.hypot(a + b, c + d), np.hypot(a, c), np.hypot(b, d)])
 
 
 def vertex_stiffness(cloth: ClothMesh, material: Material) -> np.ndarray:
-    """A bound [N/m] (V,) of the diagonal of the Hessian: membrane, hinges and half of the vertices' contact."""
+    """Returns for each vertex a bound [N/m] (V,) of the diagonal of the energy's Hessian: of membrane, hinges and half
+    of the contact."""
     membrane = max(material.warp_n_per_m, material.weft_n_per_m) * cloth.face_area * corner_slopes(cloth) ** 2
     total = np.bincount(cloth.face_index, weights=membrane.reshape(-1), minlength=cloth.vertex_count)
     # Per metre a wing turns its hinge by 1 / altitude of its triangle, an end of the edge by about the mean of both.
@@ -145,7 +147,7 @@ def vertex_stiffness(cloth: ClothMesh, material: Material) -> np.ndarray:
 
 
 def minimise(task: OptimumTask, *, step_limit: int = STEPS, tolerance: float = TOLERANCE) -> Optimum:
-    """The drape of least energy near the starts.
+    """Returns the drapes of least energy near the starts of ``task``.
 
     A frame ends when the force left is at most ``tolerance`` of the weight, after ``step_limit`` steps, or where no
     step lowers the energy. Raises ``MeshError``, naming the garment, where no start has a finite energy, or where the
@@ -164,7 +166,8 @@ def minimise(task: OptimumTask, *, step_limit: int = STEPS, tolerance: float = T
 
 
 def descend_from_starts(task: OptimumTask, descend: Descend) -> Optimum:
-    """The drapes in which ``descend`` ends, over each posed body of ``task`` from the starts of that frame."""
+    """Returns the drapes in which ``descend`` ends. It is called for each frame of ``task``, with the cloth, the posed
+    body, the starts of the frame, and the springs of the waistband or None."""
     began = time.perf_counter()
     starts = [np.asarray(start, dtype=np.float64) for start in task.starts]
     cloth = Cloth.of(task.cloth, task.material, task.charts)
@@ -172,7 +175,7 @@ def descend_from_starts(task: OptimumTask, descend: Descend) -> Optimum:
     processor_s = []
     for frame, posed in enumerate(task.body_vertices):
         before_s = time.process_time()
-        band = task.held.over(frame, task.cloth.vertex_count) if task.held else None
+        band = task.waistband.over(frame, task.cloth.vertex_count) if task.waistband else None
         ends.append(descend(cloth, posed, [np.ascontiguousarray(start[frame]) for start in starts], band))
         processor_s.append(time.process_time() - before_s)
     vertices = np.stack([end.x for end in ends])
@@ -190,13 +193,14 @@ def descend_from_starts(task: OptimumTask, descend: Descend) -> Optimum:
 
 
 def total_j(vertices: np.ndarray, task: OptimumTask, parts_of: PartsOf = energy_parts) -> np.ndarray:
-    """Energy [J] (F,) of ``vertices`` (F, V, 3), relative to the height of the first start, with the waistband's."""
+    """Returns the energy [J] (F,) of the drapes ``vertices`` [m] (F, V, 3) of ``task``, with the waistband's. Gravity's
+    counts from the mean height of the first start; ``parts_of`` gives the parts of the cloth's energy."""
     height_m = metrics.mean_height(np.asarray(task.starts[0], dtype=np.float64), task.cloth)
     parts = parts_of(vertices, task.cloth, task.material, task.contact, task.body_vertices, height_m=height_m)
     total = np.stack([*parts.values()]).sum(axis=0)
-    if task.held is None:
+    if (band := task.waistband) is None:
         return total
-    return total + band_energy(vertices[:, task.held.vertex] - task.held.anchor, task.held.length_m)
+    return total + band_energy(vertices[:, band.vertex] - band.anchor, band.length_m)
 
 
 def never_above(optimum: Optimum, task: OptimumTask) -> Optimum:

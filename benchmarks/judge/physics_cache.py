@@ -2,11 +2,13 @@
 
 A file's name is the hash of all that its numbers depend on: rest state, material, posed bodies, starts, charts, step
 limit, and the sources of the minimiser, of what it calls in the engine, of the energies and the contact. A change of
-any of them misses the file, so that nothing is ever stale. The folder can be deleted at any time.
+any of them misses the file, so that nothing is ever stale; only comments and docstrings of Python may change. The
+folder can be deleted at any time.
 """
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import zipfile
@@ -38,37 +40,49 @@ SOURCES = (*(Path(str(module.__file__)) for module in MODULES), *(SOURCE / f"{na
 
 
 def stored_minimum(task: OptimumTask, step_limit: int, folder: Path | None) -> tuple[Optimum, bool]:
-    """The optimum of ``task`` in ``step_limit`` steps at most, and whether it was in ``folder``: see ``cached``."""
+    """Returns the optimum of ``task`` in ``step_limit`` steps at most, and whether it was in ``folder`` already
+    (``cached``)."""
     key = cache_key(task, step_limit, physics.TOLERANCE)
     return cached(key, lambda: physics.minimise(task, step_limit=step_limit), folder)
 
 
 def cache_key(task: OptimumTask, step_limit: int, tolerance: float) -> str:
-    """Hash, hexadecimal, of all that an optimum depends on: rest state, fabric, bodies, starts, charts, the method."""
+    """Returns the hash, hexadecimal, of all that an optimum depends on: rest state, fabric, bodies, starts, charts,
+    waistband, and the method with its sources."""
     cloth = [value for item in fields(task.cloth) if isinstance(value := getattr(task.cloth, item.name), np.ndarray)]
     contact = [task.contact.faces, *([] if task.contact.vertices is None else [task.contact.vertices])]
     settings = [asdict(task.material), task.cloth.mean_edge_m, step_limit, tolerance]
-    held = [] if task.held is None else list(vars(task.held).values())
-    arrays = (*cloth, *contact, task.body_vertices, *task.starts, *(task.charts or ()), *held)
+    band = [] if task.waistband is None else list(vars(task.waistband).values())
+    arrays = (*cloth, *contact, task.body_vertices, *task.starts, *(task.charts or ()), *band)
     return key_of(settings, arrays, SOURCES)
 
 
 def key_of(settings: list[Any], arrays: Iterable[np.ndarray], sources: Iterable[Path]) -> str:
-    """Hash, hexadecimal, of ``settings`` that JSON can hold, of ``arrays``, and of the text of the ``sources``."""
+    """Returns the hash, hexadecimal, of ``settings`` that JSON can hold, of ``arrays`` with their types and shapes, and
+    of the files ``sources``, of Python's without comments and docstrings."""
     digest = hashlib.sha256()
     digest.update(json.dumps(settings, sort_keys=True).encode())
     for array in arrays:
         digest.update(f"{array.dtype.str}{array.shape}".encode())
         digest.update(np.ascontiguousarray(array).tobytes())
     for source in sources:
-        digest.update(source.read_bytes())
+        digest.update(_code(source) if source.suffix == ".py" else source.read_bytes())
     return digest.hexdigest()
 
 
-def cached(key: str, make: Callable[[], Optimum], folder: Path | None) -> tuple[Optimum, bool]:
-    """The optimum under ``key`` in ``folder`` and True, or that of ``make``, which is then stored, and False.
+def _code(path: Path) -> bytes:
+    tree = ast.parse(path.read_bytes())
+    for node in list(ast.walk(tree)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False):
+            del node.body[0]
+    return ast.dump(tree).encode()
 
-    ``folder`` None neither reads nor writes. A file that cannot be read is made again.
+
+def cached(key: str, make: Callable[[], Optimum], folder: Path | None) -> tuple[Optimum, bool]:
+    """Returns the optimum stored under ``key`` in ``folder`` and True; or else that which ``make`` returns, which is
+    then stored, and False.
+
+    With None for ``folder`` nothing is read or stored. A file that cannot be read is replaced.
     """
     if folder is None:
         return make(), False
@@ -76,9 +90,9 @@ def cached(key: str, make: Callable[[], Optimum], folder: Path | None) -> tuple[
     stored = _read(path)
     if stored is not None:
         return stored, True
-    made = make()
-    _write(path, made)
-    return made, False
+    optimum = make()
+    _write(path, optimum)
+    return optimum, False
 
 
 def _read(path: Path) -> Optimum | None:
@@ -86,15 +100,15 @@ def _read(path: Path) -> Optimum | None:
         return None
     try:
         with np.load(path, allow_pickle=False) as stored:
-            found: dict[str, Any] = {item.name: stored[item.name] for item in fields(Optimum)}
-            found["seconds"] = float(found["seconds"])
-            return Optimum(**found)
+            values: dict[str, Any] = {item.name: stored[item.name] for item in fields(Optimum)}
+            values["seconds"] = float(values["seconds"])
+            return Optimum(**values)
     except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         print(f"{path.parent.name}: {path.name} cannot be read ({error}); making it again", flush=True)
         return None
 
 
-def _write(path: Path, made: Optimum) -> None:
+def _write(path: Path, optimum: Optimum) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as stream:
-        np.savez_compressed(stream, **{item.name: getattr(made, item.name) for item in fields(made)})
+        np.savez_compressed(stream, **{item.name: getattr(optimum, item.name) for item in fields(optimum)})

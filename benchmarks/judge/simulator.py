@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from benchmarks.judge.physics import Held
+from benchmarks.judge.physics import Waistband
 from drape.body.model import BodyModel
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
@@ -31,7 +31,8 @@ SLIP_M = 2e-4  # in a frame: up to here friction grows with the way
 
 @dataclass(frozen=True, eq=False)
 class SimulatedCloth:
-    """A ``mesh`` of ``material`` with ``friction`` on the skin, whose motion ends at the rate ``damping_per_s``."""
+    """The cloth of a simulation: a ``mesh`` of ``material`` with the coefficient of ``friction`` on the skin, whose
+    velocity decays at the rate ``damping_per_s``."""
 
     mesh: ClothMesh
     material: Material
@@ -41,7 +42,8 @@ class SimulatedCloth:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedMotion:
-    """F poses (F, 24, 3) of a ``body`` with the root's places [m] (F, 3), ``fps`` a second."""
+    """The motion of a ``body`` through F frames, ``fps`` a second: ``poses`` (F, 24, 3) [rad] and translations of the
+    root ``trans`` (F, 3) [m]."""
 
     body: BodyModel
     poses: np.ndarray
@@ -50,7 +52,7 @@ class SimulatedMotion:
 
 
 class MovingSkin:
-    """The posed skin of a motion."""
+    """The skin of the body of ``motion``, its vertices ``posed`` [m] (F, Vb, 3) without the translation of the root."""
 
     def __init__(self, motion: SimulatedMotion) -> None:
         self.posed = motion.body.posed_vertices(motion.poses)
@@ -58,7 +60,8 @@ class MovingSkin:
         self._rotation, self._translation = motion.body.bones(motion.poses)
 
     def carried(self, x: np.ndarray, frame: int) -> np.ndarray:
-        """Points ``x`` [m] (V, 3) of the frame before, each moved on to ``frame`` with the nearest vertex's skin."""
+        """Returns ``x`` [m] (V, 3), points of the frame before, after each has moved on to ``frame`` with the bones of
+        the body vertex nearest to it."""
         near = self._weights[KDTree(self.posed[frame - 1]).query(x)[1]]
         (old, old_way), (new, new_way) = (self._blended(near, i) for i in (frame - 1, frame))
         rest = np.linalg.solve(old, (x - old_way)[..., None])
@@ -68,36 +71,40 @@ class MovingSkin:
         return (np.einsum("vj,jab->vab", weights, self._rotation[frame]), weights @ self._translation[frame])
 
 
-def grip(one: Descent, x: np.ndarray, stuck: np.ndarray, friction: float) -> tuple[np.ndarray, np.ndarray]:
-    """The springs of friction at ``x``: their targets [m] (V, 3) and stiffness [N/m] (V,).
+def grip(descent: Descent, x: np.ndarray, stuck: np.ndarray, friction: float) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the springs by which friction acts on vertices at ``x`` [m] (V, 3): their ends [m] (V, 3) and stiffness
+    [N/m] (V,).
 
-    Each vertex would be at ``stuck`` (V, 3) had it not slipped. The force is ``friction`` times that of contact.
+    Each vertex would be at ``stuck`` [m] (V, 3) had it not slipped. The force is ``friction`` times that of contact in
+    ``descent``.
     """
-    around, _ = one.around(x)
+    around, _ = descent.around(x)
     normal = around.normal / np.maximum(np.linalg.norm(around.normal, axis=1, keepdims=True), 1e-12)
-    depth = float(one.problem.constants.gap) - ((x - around.point) * normal).sum(axis=1)
-    press_n = one.problem.contact_n_per_m * np.maximum(depth, 0.0)
+    depth = float(descent.problem.constants.gap) - ((x - around.point) * normal).sum(axis=1)
+    press_n = descent.problem.contact_n_per_m * np.maximum(depth, 0.0)
     slip = x - stuck
     slip = slip - (slip * normal).sum(axis=1, keepdims=True) * normal
     return x - slip, friction * press_n / np.maximum(np.linalg.norm(slip, axis=1), SLIP_M)
 
 
 def simulate(
-    sheet: SimulatedCloth, motion: SimulatedMotion, start: np.ndarray, held: Held | None
+    sheet: SimulatedCloth, motion: SimulatedMotion, start: np.ndarray, waistband: Waistband | None
 ) -> tuple[np.ndarray, float]:
-    """Vertices [m] (F, V, 3) relative to the root, and the share [%] of the frames that came to rest.
+    """Returns the vertices [m] (F, V, 3) of ``sheet`` through ``motion``, without the translation of the root, and the
+    share [%] of the frames in which Newton's method came to rest.
 
-    The first frame is the optimum of its pose that ``start`` (V, 3) leads to.
+    The first frame is the optimum of its pose that ``start`` [m] (V, 3) leads to. ``waistband`` holds the cloth, if it
+    has one.
     """
     mesh, material, skin = sheet.mesh, sheet.material, MovingSkin(motion)
     cloth, contact = Cloth.of(mesh, material, None), BodyContact(motion.body.faces, motion.body.vertex_count)
     limit_n, inertia = TOLERANCE * cloth.weight_n, mesh.vertex_mass(material) * motion.fps**2
     moving = cloth._replace(solve=settling.inverse(mesh, material, n_per_m=inertia))
-    bands = [None if held is None else held.over(i, len(start)) for i in range(len(motion.poses))]
+    bands = [None if waistband is None else waistband.over(i, len(start)) for i in range(len(motion.poses))]
     x = newton.minimum(
         cloth, contact, skin.posed[0], [start], step_limit=FIRST_STEPS, tolerance=TOLERANCE, band=bands[0]
     ).x
-    found, rested, speed = [x], 0, np.zeros_like(x)
+    drapes, rested, speed = [x], 0, np.zeros_like(x)
     for i in range(1, len(motion.poses)):
         before = x - (motion.trans[i] - motion.trans[i - 1])
         ahead = before + slow_down(speed, before, sheet, motion.fps) / motion.fps
@@ -110,18 +117,19 @@ def simulate(
                 place, spring = grip(probe, now, stuck, sheet.friction)
                 n_per_m = inertia + spring
                 target = (inertia[:, None] * ahead + spring[:, None] * place) / n_per_m[:, None]
-            drawn = Band(target, n_per_m)  # inertia and friction
-            step = Descent(moving, contact, skin.posed[i], now, band=bands[i], pull=drawn)
+            pull = Band(target, n_per_m)  # inertia and friction
+            step = Descent(moving, contact, skin.posed[i], now, band=bands[i], pull=pull)
             step.settle(SETTLE)
             end = step.run(STEPS, limit_n)
             now, at_rest = end.x, end.at_rest
         speed, x, rested = (now - before) * motion.fps, now, rested + at_rest
-        found.append(x)
-    return np.stack(found), 100.0 * rested / (len(found) - 1)
+        drapes.append(x)
+    return np.stack(drapes), 100.0 * rested / (len(drapes) - 1)
 
 
 def slow_down(speed: np.ndarray, x: np.ndarray, sheet: SimulatedCloth, fps: float) -> np.ndarray:
-    """Returns the ``speed`` [m/s] (V, 3) of vertices at ``x`` [m] (V, 3) after one frame, slowed by damping and by air.
+    """Returns the velocities ``speed`` [m/s] (V, 3) of vertices at ``x`` [m] (V, 3) after damping and air have slowed
+    them for one frame.
 
     Air slows the part along the vertex normal alone, as in ``drape.live.swing_step``.
     """

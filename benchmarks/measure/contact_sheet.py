@@ -15,7 +15,8 @@ Picture = tuple[str, np.ndarray, np.ndarray]  # words, vertices [m] (V, 3), face
 
 
 def draw_sheet(pictures: Mapping[tuple[str, str], Picture], path: Path) -> None:
-    """Writes ``pictures``, by row and column, as the PNG ``path``. Raises ``Unavailable`` without PyVista."""
+    """Draws ``pictures``, by the names of their row and column, side by side into the PNG file ``path``. Raises
+    ``Unavailable`` without PyVista."""
     try:
         import pyvista
     except ImportError as error:

@@ -9,7 +9,8 @@ from drape.geometry.closest import signed_distance
 
 
 def depths_mm(vertices: np.ndarray, skin: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """How deep [mm] (V,) each of ``vertices`` [m] (V, 3) is in a closed ``skin`` [m] (B, 3), (F, 3); 0 where it is not.
+    """Returns how deep [mm] (V,) each of ``vertices`` [m] (V, 3) is in the closed ``skin`` [m] (B, 3) with ``faces``
+    (F, 3); 0 for those outside.
 
     The winding number tells what is inside. Where a posed body cuts into itself, an armpit turns inside out and the
     normals of its nearest faces call the air beside it body.
@@ -21,8 +22,3 @@ def depths_mm(vertices: np.ndarray, skin: np.ndarray, faces: np.ndarray) -> np.n
         turns = igl.fast_winding_number(skin.astype(np.float64), faces.astype(np.int64), points)
         depth[below[np.asarray(turns) <= 0.5]] = 0.0
     return depth
-
-
-def depth_mm(vertices: np.ndarray, skin: np.ndarray, faces: np.ndarray) -> float:
-    """How deep [mm] the deepest of ``vertices`` is (``depths_mm``)."""
-    return float(depths_mm(vertices, skin, faces).max())

@@ -28,7 +28,8 @@ WAVELENGTH_M = 0.05  # half the amplitude of such a wave counts as detail
 
 @dataclass(frozen=True, eq=False)
 class LowPass:
-    """The low-pass of one garment, factored once from its rest metric; the module has its equation."""
+    """The low-pass filter of one garment's mesh (the module has its equation), factored once: ``solve`` filters fields
+    (V, n); ``vertex_area`` (V,) [m^2] is at rest."""
 
     faces: np.ndarray
     vertex_area: np.ndarray
@@ -36,7 +37,8 @@ class LowPass:
 
     @classmethod
     def of(cls, rest: RestState, faces: np.ndarray, vertex_count: int, wavelength_m: float = WAVELENGTH_M) -> LowPass:
-        """The low-pass over waves of ``wavelength_m`` [m] on the rest metric of ``faces`` (F, 3)."""
+        """Returns the filter of ``faces`` (F, 3) with the ``rest`` state that leaves half of the amplitude of waves as
+        long as ``wavelength_m``."""
         area = ClothMesh.of(rest, faces, vertex_count).vertex_area
         weight = np.where(area > 0.0, area, area.mean())  # a vertex without a triangle stays where it is
         mass, stiffness = scipy.sparse.diags(weight), cotangent_matrix(rest, faces, vertex_count)
@@ -49,13 +51,14 @@ class LowPass:
         return cls(faces, area, lambda fields: factor.solve(weight[:, None] * fields))
 
     def smoothed(self, vertices: np.ndarray) -> np.ndarray:
-        """The low-pass surface [m] (..., V, 3) of ``vertices`` [m] (..., V, 3)."""
+        """Returns ``vertices`` [m] (..., V, 3) filtered: the low-pass surface [m] (..., V, 3)."""
         columns = np.moveaxis(np.asarray(vertices, dtype=np.float64), -2, 0)
         flat = self.solve(np.ascontiguousarray(columns.reshape(len(columns), -1)))
         return np.moveaxis(flat.reshape(columns.shape), 0, -2)
 
     def detail_mm(self, vertices: np.ndarray) -> np.ndarray:
-        """RMS height [mm] (...,) of ``vertices`` [m] (..., V, 3) over their low-pass surface, weighted by rest area.
+        """Returns the RMS height [mm] (...,) of ``vertices`` [m] (..., V, 3) over their low-pass surface, weighted by
+        the area at rest.
 
         It is measured along the normal of that surface: near a border smoothing also moves vertices within it.
         """
@@ -65,9 +68,11 @@ class LowPass:
 
 
 def cotangent_matrix(rest: RestState, faces: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
-    """Stiffness matrix K (V, V) of linear finite elements on the rest triangles: x^T K x is the integral of |grad x|^2.
+    """Returns the stiffness matrix K (V, V) of linear finite elements on the rest triangles: x^T K x is the integral of
+    |grad x|^2.
 
-    Off the diagonal minus half the cotangents of the angles opposite the edge (Pinkall & Polthier 1993).
+    An entry off the diagonal is minus half the sum of the cotangents of the two angles opposite that edge (Pinkall &
+    Polthier 1993).
     """
     first, second = rest.edges[:, 0], rest.edges[:, 1]
     opposite = np.stack([second - first, -second, first], axis=1)  # (F, 3, 2): the side opposite each corner
@@ -77,5 +82,5 @@ def cotangent_matrix(rest: RestState, faces: np.ndarray, vertex_count: int) -> s
 
 
 def dihedral_deg(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """RMS dihedral angle [deg] (F,) over the hinges of ``vertices`` [m] (F, V, 3)."""
+    """Returns the RMS dihedral angle [deg] (n,) over the hinges of each drape of ``vertices`` [m] (n, V, 3)."""
     return np.degrees([np.sqrt(np.mean(dihedral_angles(frame, faces) ** 2)) for frame in vertices])

@@ -12,20 +12,19 @@ SETTLED_M = 0.005  # a hem nearer to its place is at rest
 
 
 def hem_vertices(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Boundary vertices in the lowest tenth of the garment's height, ``rest`` (V, 3) [m]: of trousers both legs'.
-
-    Empty where the mesh has no border.
-    """
+    """Returns the indices (n,) of the boundary vertices in the lowest tenth of the height of a garment with vertices
+    ``rest`` [m] (V, 3): of trousers those of both legs. Empty where the mesh has no border."""
     border = np.unique(np.concatenate([np.zeros(0, np.int64), *meshes.boundary_loops(faces)]))
     low, high = rest[:, 1].min(), rest[:, 1].max()
     return border[rest[border, 1] <= low + HEM_SHARE * (high - low)]
 
 
 def hang_mm(vertices: np.ndarray, skinned: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """How much lower [mm] (F,) the hem of ``vertices`` (F, V, 3) is than that of the ``skinned`` garment (F, V, 3) [m].
+    """Returns how much lower [mm] (F,) the hem of ``vertices`` [m] (F, V, 3) is than that of the ``skinned`` garment
+    [m] (F, V, 3), on average along the hem; NaN where there is no hem.
 
-    Vertically, y upwards, the mean along the hem at rest: every vertex counts by half of its border edges that lie in
-    the hem. What is cut the same hangs lower in a cloth that gives more. NaN where there is no hem.
+    Every vertex counts by half of the length at rest of its border edges that lie in the hem. The same cut hangs lower
+    in a cloth that stretches more.
     """
     hem = hem_vertices(rest, faces)
     length_m = np.zeros(len(rest))
@@ -42,20 +41,23 @@ def hang_mm(vertices: np.ndarray, skinned: np.ndarray, rest: np.ndarray, faces: 
 
 
 def swinging(parts: np.ndarray, fps: float) -> Row:
-    """How the middles of a hem's ``parts`` [m] (F, P, 3) come to rest on a body that stands: ``settle_s``, after which
-    they stay within ``SETTLED_M`` (RMS) of their last place; along the way on which they move most ``period_s``, twice
-    the time between two passes through that place, and ``over``, the largest way beyond it over the largest before. NaN
-    for the last two where none of them swings by more than ``SETTLED_M``."""
+    """Returns how the ``parts`` of a hem, at places [m] (F, P, 3), come to rest on a body that stands still.
+
+    ``settle_s`` is the time after which they stay within ``SETTLED_M`` (RMS) of their last places. The other two are
+    measured along the direction in which they move most: ``period_s`` is twice the time between the two passes through
+    the last place around the largest swing after it, and ``over`` that swing over the one before. They are NaN where
+    nothing swings by more than ``SETTLED_M``, and ``period_s`` also where it does not pass again.
+    """
     off = parts - parts[-1]
     far = np.flatnonzero(np.sqrt((off**2).sum(axis=2).mean(axis=1)) > SETTLED_M)
     flat = off.reshape(len(off), -1) / np.sqrt(off.shape[1])
     along = flat @ np.linalg.svd(flat, full_matrices=False)[2][0]
-    told = {"settle_s": float((far[-1] + 1) / fps) if len(far) else 0.0, "period_s": np.nan, "over": np.nan}
+    row = {"settle_s": float((far[-1] + 1) / fps) if len(far) else 0.0, "period_s": np.nan, "over": np.nan}
     passes = np.flatnonzero(np.diff(np.sign(along)) != 0)
     lobes = [np.abs(lobe).max() for lobe in np.split(along, passes + 1)]
     if len(passes) and max(lobes) > SETTLED_M:
         first = int(np.argmax(lobes[:-1]))
-        told["over"] = float(lobes[first + 1] / lobes[first])
+        row["over"] = float(lobes[first + 1] / lobes[first])
         if first + 1 < len(passes):
-            told["period_s"] = 2.0 * float(passes[first + 1] - passes[first]) / fps
-    return told
+            row["period_s"] = 2.0 * float(passes[first + 1] - passes[first]) / fps
+    return row

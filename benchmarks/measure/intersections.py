@@ -11,7 +11,7 @@ from drape.geometry.triangle_pairs import crossing_pairs
 
 
 def intersection_count(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Number (...,) of ``intersecting_pairs`` of every frame of ``vertices`` [m] (..., V, 3), int64."""
+    """Returns the number (...,) int64 of ``intersecting_pairs`` in every drape of ``vertices`` [m] (..., V, 3)."""
     vertices = np.asarray(vertices)
     frames = vertices.reshape(-1, *vertices.shape[-2:])
     counts = [len(intersecting_pairs(frame, faces)) for frame in frames]
@@ -19,7 +19,7 @@ def intersection_count(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def intersecting_pairs(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Pairs (n, 2) of faces, i < j in lexicographic order, that share no vertex and cross.
+    """Returns the pairs (n, 2) of indices of faces, i < j in lexicographic order, that share no vertex and cross.
 
     ``vertices`` [m] (V, 3) finite, ``faces`` (F, 3). Vertices count as shared by their index: a seam whose
     two sides are separate vertices at one place only touches, which does not count either.

@@ -32,9 +32,10 @@ class Window:
 
 @dataclass(frozen=True)
 class Jitter:
-    """RMS of the third time difference divided by that of plain skinning; NaN where skinning stands still.
+    """How much rougher than plain skinning a drape moves: the RMS of its third difference in time over that of
+    skinning, NaN where skinning stands still.
 
-    ``ratio`` over all windows together, ``by_clip`` of each alone, by the window's label.
+    ``ratio`` is over all windows together, ``by_clip`` over each alone, by the window's label.
     """
 
     ratio: float
@@ -47,11 +48,11 @@ class Jitter:
 
 
 def typical_windows(clips: Sequence[MotionClip], *, length: int = WINDOW) -> list[Window]:
-    """Returns for every clip the ``length`` consecutive frames, without a glitch, in which joints turn by the median
-    amount.
+    """Returns one window for every clip: of all its windows of ``length`` frames without a glitch, that in which joints
+    turn by the median amount. A clip without any has none.
 
     Clips faster than 60 frames per second are resampled to that; a slower one is taken as it is, since interpolated
-    frames would put corners into its motion. Clips without such a window are passed over.
+    frames would put corners into its motion.
     """
     windows = []
     for clip in clips:
@@ -68,9 +69,10 @@ def typical_windows(clips: Sequence[MotionClip], *, length: int = WINDOW) -> lis
 
 
 def jitter(garment: Garment, network: ModelDrape, body: BodyModel, windows: Sequence[Window]) -> dict[str, Jitter]:
-    """Jitter over ``windows`` by method: "skinning" (1 by definition), "network", and both with push-out.
+    """Returns the jitter of ``garment`` over ``windows`` by method: "skinning" (1 by definition), "network", and both
+    with push-out, "skinning_push" and "network_push". Empty where there are no windows.
 
-    The root stays in its place; its way would add the same to all. Empty where there are no windows.
+    The root stays in its place; its way would add the same to all.
     """
     if not windows:
         return {}

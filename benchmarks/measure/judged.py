@@ -37,36 +37,34 @@ from drape.garment.cache import Garment
 from drape.geometry.raster import ZBuffer, z_buffer
 
 FEW = 3  # frames, about, of measures that take long
-Distance = Callable[..., np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
 class JudgedCloth:
-    """A garment's subdivided mesh in one cloth, and the body that it lies on.
+    """The subdivided mesh of a garment made of one cloth, and the body that it lies on.
 
-    ``fabric`` None stands for ``material``, the cloth of before fabrics, whose rest is the mesh as modelled. Contact
-    counts by ``distance``: blended planes as physics has them, or the nearest vertex's plane as training has it.
+    With None for ``fabric`` the cloth is ``material`` and rests as the mesh is modelled; otherwise ``material`` is that
+    of the fabric, and the garment's own rest state counts.
     """
 
     garment: Garment
     body: BodyModel
     material: Material
     fabric: Fabric | None = None
-    distance: Distance = blended_distance
 
     @classmethod
     def of(cls, garment: Garment, body: BodyModel, fabric: Fabric) -> JudgedCloth:
-        """Returns ``garment`` made of ``fabric``, in its own rest state."""
+        """Returns ``garment`` made of ``fabric`` on ``body``."""
         return cls(garment, body, Material.of(fabric), fabric)
 
     @property
     def rest(self) -> np.ndarray:
-        """Rest vertices [m] (V, 3)."""
+        """The vertices of the subdivided mesh at rest [m] (V, 3), float64."""
         return self.garment.vertices.astype(np.float64)
 
     @property
     def faces(self) -> np.ndarray:
-        """Triangles (F, 3)."""
+        """The triangles (F, 3) of the subdivided mesh, int64."""
         return self.garment.fine_faces.astype(np.int64)
 
     @cached_property
@@ -81,12 +79,12 @@ class JudgedCloth:
 
     @cached_property
     def contact(self) -> BodyContact:
-        """The body's surface as contact takes it."""
+        """The whole surface of the body, for contact."""
         return BodyContact(self.body.faces, self.body.vertex_count)
 
     @cached_property
     def covered(self) -> np.ndarray:
-        """Which faces (Fb,) of the body the garment covers at rest."""
+        """Which faces of the body (Fb,) the garment covers at rest (``covered_skin``)."""
         return covered_skin(self.body.v_template, self.body.faces, self.rest, self.faces)
 
     @cached_property
@@ -96,9 +94,10 @@ class JudgedCloth:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A cloth over the posed bodies ``body_vertices`` [m] (n, Vb, 3).
+    """What judges drapes of a ``cloth`` over n posed bodies, ``body_vertices`` [m] (n, Vb, 3).
 
-    Heights count from those of ``skinned`` [m] (n, V, 3), which also carries the waistbands that physics holds.
+    ``skinned`` [m] (n, V, 3) is the cloth after linear blend skinning: the energy of gravity counts from its mean
+    heights, and physics holds waistbands at its places.
     """
 
     cloth: JudgedCloth
@@ -110,60 +109,57 @@ class Judged:
         """Returns ``cloth`` over its body at ``poses`` (n, 24, 3) [rad]."""
         return cls(cloth, cloth.body.posed_vertices(poses), skinned(cloth.garment, cloth.body, poses))
 
-    def at(self, frames: slice | np.ndarray) -> Judged:
-        """Returns the same cloth over the bodies of the chosen ``frames`` alone."""
-        return Judged(self.cloth, self.body_vertices[frames], self.skinned[frames])
-
     @property
     def spread(self) -> slice:
-        """Returns the frames, spread over all, that slow measures are taken of."""
+        """Which of the n bodies slow measures are taken on: about ``FEW``, evenly spread."""
         return slice(None, None, max(1, len(self.body_vertices) // FEW))
 
     @cached_property
     def few(self) -> Judged:
-        """Returns the same cloth over the bodies of ``spread`` alone."""
-        return self.at(self.spread)
+        """The same cloth over the bodies of ``spread`` alone."""
+        return Judged(self.cloth, self.body_vertices[self.spread], self.skinned[self.spread])
 
     @cached_property
     def height_m(self) -> np.ndarray:
-        """Height [m] (n,) that gravity's energy counts from."""
+        """The heights [m] (n,) that the energy of gravity counts from."""
         return metrics.mean_height(self.skinned, self.cloth.mesh)
 
     @cached_property
     def body_normals(self) -> np.ndarray:
-        """Unit vertex normals (n, Vb, 3) of the bodies."""
+        """The unit vertex normals (n, Vb, 3) of the bodies."""
         return np.asarray(self.cloth.contact.normals(self.body_vertices))
 
     @cached_property
     def pushed(self) -> np.ndarray:
-        """Returns the baseline of a gain [m] (n, V, 3): ``skinned`` after the nearest-vertex push."""
+        """The drapes [m] (n, V, 3) whose gain is 0: ``skinned`` after the nearest-vertex push."""
         return nearest_vertex_push(self.skinned, self.body_vertices, self.body_normals)
 
     @cached_property
     def pictured(self) -> tuple[JudgedBody, ...]:
-        """The bodies in pictures, which all drapes share."""
+        """The n bodies with their pictures, which all drapes share."""
         return tuple(JudgedBody.of(posed, self.cloth.body.faces) for posed in self.body_vertices)
 
     def parts_j(self, vertices: np.ndarray) -> dict[str, np.ndarray]:
-        """Energies [J] (n,) by part of ``vertices`` [m] (n, V, 3)."""
+        """Returns the energies [J] (n,) of the drapes ``vertices`` [m] (n, V, 3) by part."""
         cloth = self.cloth
         return metrics.static_parts(
             vertices, cloth.mesh, cloth.material, cloth.contact, self.body_vertices,
-            height_m=self.height_m, distance=cloth.distance,
+            height_m=self.height_m, distance=blended_distance,
         )  # fmt: skip
 
     def energies(self, vertices: np.ndarray) -> dict[str, float]:
-        """Mean energies [J] of ``vertices`` [m] (n, V, 3): the whole as ``energy_j``, and each part."""
+        """Returns mean energies [J] of the drapes ``vertices`` [m] (n, V, 3): the whole as "energy_j", and each part as
+        "PART_j"."""
         parts = self.parts_j(vertices)
         whole = {"energy_j": float(np.stack(list(parts.values())).sum(axis=0).mean())}
         return whole | {f"{part}_j": float(value.mean()) for part, value in parts.items()}
 
     def figures(self, vertices: np.ndarray, names: Sequence[str]) -> dict[str, float]:
-        """Returns those figures of ``MEASURES`` that ``names`` lists, as means over ``vertices`` [m] (n, V, 3)."""
+        """Returns the measures ``names`` of ``MEASURES``, as means over the drapes ``vertices`` [m] (n, V, 3)."""
         return {name: float(np.mean(MEASURES[name](self, vertices))) for name in names}
 
     def task(self, starts: tuple[np.ndarray, ...]) -> physics.OptimumTask:
-        """The task of physics, from ``starts`` [m] (n, V, 3)."""
+        """Returns the task to find physics of the cloth on these bodies, from each of ``starts`` [m] (n, V, 3)."""
         cloth = self.cloth
         return physics.OptimumTask.of_garment(
             cloth.garment, cloth.body, cloth.mesh, cloth.material,
@@ -173,17 +169,18 @@ class Judged:
     def optimum(
         self, starts: tuple[np.ndarray, ...], folder: Path | None, steps: int | None = None
     ) -> tuple[physics.Optimum, bool]:
-        """The physics optimum from ``starts`` in at most ``steps``, and whether it was kept in ``folder``."""
+        """Returns the physics optimum from ``starts`` in at most ``steps`` (by default ``physics.STEPS``), and whether
+        it was in ``folder`` already."""
         return stored_minimum(self.task(starts), steps or physics.STEPS, folder)
 
     def skin_pct(self, vertices: np.ndarray) -> np.ndarray:
-        """Share [%] (n, 4) of skin in the pixels of ``vertices`` [m] (n, V, 3), from four sides."""
+        """Returns ``skin_pixels_pct`` (n, 4) [%] of the drapes ``vertices`` [m] (n, V, 3)."""
         covered, faces = self.cloth.covered, self.cloth.faces
         pairs = zip(self.pictured, vertices, strict=True)
         return np.stack([skin_pixels_pct(body, covered, cloth, faces) for body, cloth in pairs])
 
 
-# Each gives a value for every frame, but skin, which is the mean over the views that show cloth.
+# Each gives a value for every drape, but the share of skin gives one, the mean over the views that show cloth.
 MEASURES: dict[str, Callable[[Judged, np.ndarray], Any]] = {
     "edge_pct": lambda j, x: metrics.edge_strain_pct(x, j.cloth.rest, j.cloth.faces),
     "area_pct": lambda j, x: metrics.area_strain_pct(x, j.cloth.rest, j.cloth.faces),
@@ -198,7 +195,8 @@ MEASURES: dict[str, Callable[[Judged, np.ndarray], Any]] = {
 
 
 def jitter_ratio(vertices: np.ndarray, start: np.ndarray) -> float:
-    """Root mean square third difference of ``vertices`` (F, V, 3) over that of ``start``; NaN where that is still."""
+    """Returns the root mean square third difference in time of ``vertices`` (F, V, 3) over that of ``start`` (F, V, 3);
+    NaN where that stands still."""
     still = metrics.third_difference_square(start)
     return float(np.sqrt(metrics.third_difference_square(vertices) / still)) if still > 0.0 else float("nan")
 
@@ -211,21 +209,23 @@ MARGIN_M = 0.1  # around the body: cloth stands off it
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A picture that holds a body, of ``size`` (height, width) in pixels, around ``centre`` [m] (3,)."""
+    """The frame of pictures that show a whole body: their ``size`` (height, width) in pixels, and the ``centre`` [m]
+    (3,) that they look at."""
 
     size: tuple[int, int]
     centre: np.ndarray
 
     @classmethod
     def around(cls, vertices: np.ndarray) -> Camera:
-        """The picture of ``vertices`` [m] (V, 3), from whatever side."""
+        """Returns the camera whose pictures show all of ``vertices`` [m] (V, 3) from any side."""
         low, high = vertices.min(axis=0) - MARGIN_M, vertices.max(axis=0) + MARGIN_M
         side = float(np.linalg.norm((high - low)[[0, 2]]))
         height = float(high[1] - low[1]) + 0.15 * side  # the view looks down a little
         return cls((int(np.ceil(height / PIXEL_M)), int(np.ceil(side / PIXEL_M))), 0.5 * (low + high))
 
     def see(self, vertices: np.ndarray, faces: np.ndarray, azimuth_deg: float) -> ZBuffer:
-        """The nearest face in every pixel of a mesh [m] (V, 3), (F, 3), and its depth."""
+        """Returns the picture of a mesh, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), from the side ``azimuth_deg``:
+        the nearest face in every pixel and its depth."""
         extent_m = self.size[0] * PIXEL_M
         return z_buffer(vertices, faces, size=self.size, azimuth_deg=azimuth_deg, centre=self.centre, extent_m=extent_m)
 
@@ -233,7 +233,8 @@ class Camera:
 def covered_skin(
     body_vertices: np.ndarray, body_faces: np.ndarray, vertices: np.ndarray, faces: np.ndarray
 ) -> np.ndarray:
-    """Which ``body_faces`` (Fb,) the garment ``vertices`` [m] (V, 3), ``faces`` (F, 3) covers at rest, off its hems."""
+    """Returns which (Fb,) of ``body_faces`` a garment, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), covers at rest and
+    more than ``HEM_M`` from bare skin."""
     camera = Camera.around(body_vertices)
     hidden, bare = np.zeros(len(body_faces), bool), np.zeros(len(body_faces), bool)
     for azimuth_deg in REST_VIEWS_DEG:
@@ -248,7 +249,8 @@ def covered_skin(
 
 @dataclass(frozen=True, eq=False)
 class JudgedBody:
-    """A body that garments are looked at on: ``vertices`` [m] (Vb, 3), ``faces`` (Fb, 3), and what is seen of it."""
+    """A body on which garments are looked at: ``vertices`` [m] (Vb, 3), ``faces`` (Fb, 3), and its pictures ``views``
+    from the four sides ``VIEWS_DEG`` by ``camera``."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -257,25 +259,24 @@ class JudgedBody:
 
     @classmethod
     def of(cls, vertices: np.ndarray, faces: np.ndarray) -> JudgedBody:
-        """The body and its pictures, which all garments share."""
+        """Returns the body with its pictures."""
         camera = Camera.around(vertices)
-        return cls(
-            vertices, faces, camera, tuple(camera.see(vertices, faces, azimuth_deg) for azimuth_deg in VIEWS_DEG)
-        )
+        return cls(vertices, faces, camera, tuple(camera.see(vertices, faces, azimuth) for azimuth in VIEWS_DEG))
 
 
 def skin_pixels_pct(body: JudgedBody, covered: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Share [%] (4,) of skin in the pixels of the cloth ``vertices`` [m] (V, 3), ``faces`` (F, 3), from four sides.
+    """Returns how much skin shows through cloth, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), on ``body``: the share
+    [%] (4,) of pixels, from four sides.
 
-    ``covered`` (Fb,): the body's faces of ``covered_skin``. The share is of the pixels that show cloth or such faces;
-    those count that show such a face with cloth less than 3 cm behind. NaN where neither is seen.
+    Of the pixels that show cloth or a face of the body that is ``covered`` (Fb,) at rest, those count that show such a
+    face with cloth less than 3 cm behind it. NaN where a picture shows neither.
     """
-    found = []
+    shares = []
     for skin, azimuth_deg in zip(body.views, VIEWS_DEG, strict=True):
         cloth = body.camera.see(vertices, faces, azimuth_deg)
         in_front = skin.depth > cloth.depth
         bare = in_front & (skin.face >= 0) & covered[np.maximum(skin.face, 0)]
         shown = bare & (cloth.depth > skin.depth - BEHIND_M)
-        seen = np.count_nonzero(bare) + np.count_nonzero(~in_front & (cloth.face >= 0))
-        found.append(100.0 * np.count_nonzero(shown) / seen if seen else np.nan)
-    return np.array(found)
+        count = np.count_nonzero(bare) + np.count_nonzero(~in_front & (cloth.face >= 0))
+        shares.append(100.0 * np.count_nonzero(shown) / count if count else np.nan)
+    return np.array(shares)

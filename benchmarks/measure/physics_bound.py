@@ -1,4 +1,4 @@
-"""What a drape is measured by: physics of some of a clip's frames, and the figures beside it."""
+"""Physics of some frames of a clip, and the figures of drapes beside it."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ OPTIMA = 6  # frames of a clip, at most, whose optimum is looked for
 
 
 def figures(judge: Judged, vertices: np.ndarray, start: np.ndarray, measured: np.ndarray) -> Row:
-    """Returns a row of the energies, strain, detail, crossing and visible skin of ``vertices`` [m] (F, V, 3), as means
-    over the frames ``measured``, and their jitter relative to ``start`` (F, V, 3) over all frames.
-    """
-    seen = vertices[measured].astype(np.float64)
-    slow = judge.few.figures(seen[judge.spread], ("colliding_triangle_pct", "skin_pixels_pct"))
+    """Returns a row of means over the frames ``measured`` (n,) of the drapes ``vertices`` [m] (F, V, 3): energies [J],
+    strain [%], detail [mm], colliding triangles and visible skin [%]; and the jitter of all frames over that of
+    ``start`` (F, V, 3). ``judge`` has the n bodies."""
+    drapes = vertices[measured].astype(np.float64)
+    slow = judge.few.figures(drapes[judge.spread], ("colliding_triangle_pct", "skin_pixels_pct"))
     return {
-        **judge.energies(seen),
-        **judge.figures(seen, ("edge_pct", "detail_mm")),
+        **judge.energies(drapes),
+        **judge.figures(drapes, ("edge_pct", "detail_mm")),
         "jitter_ratio": jitter_ratio(vertices, start),
         "colliding_pct": slow["colliding_triangle_pct"],
         "skin_pixels_pct": slow["skin_pixels_pct"],
@@ -34,8 +34,9 @@ def figures(judge: Judged, vertices: np.ndarray, start: np.ndarray, measured: np
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """Physics of n of a clip's measured frames, their numbers among those ``few`` (n,): ``vertices`` [m] (n, V, 3),
-    mean energy and detail, and the processor time of a frame. ``judge`` judges drapes of these frames."""
+    """Physics of n of the measured frames of a clip, whose numbers among these are ``few`` (n,): the drapes
+    ``vertices`` [m] (n, V, 3), their mean energy and detail, and the processor time of a frame. ``judge`` judges drapes
+    of these frames."""
 
     few: np.ndarray
     judge: Judged
@@ -45,16 +46,16 @@ class Bound:
     processor_s: float
 
     def compare(self, row: Row, plain: Row) -> Row:
-        """Returns ``gain`` and ``detail_share`` of ``row``: 0 for the row ``plain`` of skinning, 1 for physics."""
+        """Returns ``gain`` and ``detail_share`` of ``row``, a row of ``figures``. Both are 0 for ``plain``, the row of
+        skinning, and 1 for physics."""
         share = metrics.gain(-plain["detail_mm"], -row["detail_mm"], -self.detail_mm)
         return {"gain": metrics.gain(plain["energy_j"], row["energy_j"], self.energy_j), "detail_share": share}
 
 
 def bound(scene: CaseScene, starts: Mapping[str, np.ndarray], *, keeps_apart: bool = False) -> Bound:
-    """The optimum of ``OPTIMA`` of the measured frames, from the first and the last of ``starts`` [m] (F, V, 3).
-
-    Of cloth that ``keeps_apart`` from itself, it is the optimum near the last start.
-    """
+    """Returns physics of up to ``OPTIMA`` of the measured frames of ``scene``: the optimum near the first and the last
+    of ``starts``, drapes [m] (F, V, 3) by name. If ``keeps_apart`` is true it is the optimum near the last one, of
+    cloth that does not pass through itself."""
     measured = scene.clip.measured
     few = np.linspace(0, len(measured) - 1, min(OPTIMA, len(measured))).astype(int)
     plain, *_, last = (start[measured[few]].astype(np.float64) for start in starts.values())

@@ -30,11 +30,11 @@ Spent = dict[tuple[str, str], np.ndarray]  # by stage and function: calls, proce
 
 @contextmanager
 def replaced(make: Callable[[str, Any], Callable[..., Any]]) -> Iterator[int]:
-    """A context in which modules call ``make(name, function)`` in place of each function of the engine; gives the
-    number of names that call one."""
+    """A context in which what ``make(name, function)`` returns is called in place of each function of the engine; gives
+    how many names in loaded modules were replaced."""
 
-    def stands_for(calling: Callable[..., int], name: str, dtype: Any, *given: Any) -> Any:
-        return make(name, partial(calling, name, dtype))(*given)
+    def stands_for(calling: Callable[..., int], name: str, dtype: Any, *arguments: Any) -> Any:
+        return make(name, partial(calling, name, dtype))(*arguments)
 
     names = [
         (module, name, value)
@@ -53,9 +53,10 @@ def replaced(make: Callable[[str, Any], Callable[..., Any]]) -> Iterator[int]:
 
 
 class Trace:
-    """Where the time of this thread's frames goes.
+    """A record of where the time of this thread's frames goes.
 
-    ``begin`` comes before a frame and ``took`` after each of its stages; between them ``timed`` functions run.
+    ``begin`` is called before a frame and ``took`` after each of its stages; between these run functions that ``timed``
+    wrapped.
     """
 
     def __init__(self) -> None:
@@ -64,42 +65,41 @@ class Trace:
         self._mark = _now()
 
     def begin(self) -> None:
-        """Says that a frame begins: the calls that follow are of this frame."""
+        """Begins a frame: all that follows counts for it."""
         self._frames.append([])
         self._calls, self._mark = [], _now()
 
     def took(self, stage: str, _: float) -> None:
-        """Ends ``stage``: the calls since the last mark were its own."""
+        """Ends ``stage``: the time and the calls since ``begin`` or the last ``took`` count for it."""
         now = _now()
         self._frames[-1].append((stage, now[0] - self._mark[0], now[1] - self._mark[1], self._calls))
         self._calls, self._mark = [], now
 
     def frames(self) -> list[Spent]:
-        """Returns for each frame the calls, the processor time [ms] and the wall time [ms], by stage and function.
-
-        What a stage spends outside of the engine's functions is listed under ``PYTHON``.
-        """
-        found: list[Spent] = []
+        """Returns for each frame, by stage and function, an array (3,): the number of calls, the processor time [ms]
+        and the wall time [ms]. What a stage spends outside of the engine's functions is under ``PYTHON``."""
+        frames: list[Spent] = []
         for frame in self._frames:
-            found.append({})
+            spent: Spent = {}
             for stage, cpu_s, wall_s, called in frame:
                 rest = np.array([1.0, 1e3 * cpu_s, 1e3 * wall_s])
                 for name, cpu, wall in called:
-                    one = np.array([1.0, 1e3 * cpu, 1e3 * wall])
-                    found[-1][stage, name] = found[-1].get((stage, name), 0.0) + one
-                    rest[1:] -= one[1:]
-                found[-1][stage, PYTHON] = rest
-        return found
+                    call = np.array([1.0, 1e3 * cpu, 1e3 * wall])
+                    spent[stage, name] = spent.get((stage, name), 0.0) + call
+                    rest[1:] -= call[1:]
+                spent[stage, PYTHON] = rest
+            frames.append(spent)
+        return frames
 
     def timed(self, name: str, function: Any) -> Callable[..., Any]:
-        """Returns ``function`` wrapped, so that the trace hears of each call."""
+        """Returns ``function`` wrapped so that the time of each call is recorded under ``name``."""
 
         def call(*arguments: Any) -> Any:
             cpu, wall = _now()
-            found = function(*arguments)
+            result = function(*arguments)
             cpu_after, wall_after = _now()
             self._calls.append((name, cpu_after - cpu, wall_after - wall))
-            return found
+            return result
 
         return call
 
@@ -109,7 +109,7 @@ def _now() -> tuple[float, float]:
 
 
 def arrays_of(value: Any) -> Iterator[np.ndarray]:
-    """The arrays in ``value``: itself, those of a record, or those of a tuple of any depth."""
+    """Yields the arrays in ``value``: itself, those of a record of the engine, or those in a tuple at any depth."""
     if isinstance(value, np.ndarray):
         yield value
     elif isinstance(value, Record):
@@ -117,24 +117,25 @@ def arrays_of(value: Any) -> Iterator[np.ndarray]:
     elif isinstance(value, Recorded):
         yield from value.record.arrays
     elif isinstance(value, tuple):
-        for one in value:
-            yield from arrays_of(one)
+        for item in value:
+            yield from arrays_of(item)
 
 
 def moved_bytes(*values: Any) -> int:
-    """Bytes of all different arrays in ``values``."""
+    """Returns the bytes of all arrays in ``values`` (``arrays_of``), each counted once."""
     return sum({(array.ctypes.data, array.nbytes): array.nbytes for array in arrays_of(values)}.values())
 
 
-def multiply_adds(name: str, given: tuple[Any, ...]) -> int:
-    """Multiply-adds of the matrices of the function ``name``, 0 where it has none: layers of the network, whose rows
-    are the patches, and products with the columns of tiles."""
+def multiply_adds(name: str, arguments: tuple[Any, ...]) -> int:
+    """Returns how many multiply-adds the engine's function ``name`` does in products of matrices when it is called with
+    ``arguments``: in layers of the network, whose rows are the patches, and in products with the columns of tiles; 0
+    for a function that has none."""
     if name == "jets":
-        weights, rows, _, passes, *_ = given
+        weights, rows, _, passes, *_ = arguments
         once = sum(layer.weight.size for layer in (weights.surroundings, *weights.trunk, *weights.heads))
-        each = weights.first[0].weight.size + weights.second[0].weight.size
-        return len(rows.scale) * (once + passes * each)
-    return 3 * given[1].columns.size if name == "vertices" else 0
+        per_pass = weights.first[0].weight.size + weights.second[0].weight.size
+        return len(rows.scale) * (once + passes * per_pass)
+    return 3 * arguments[1].columns.size if name == "vertices" else 0
 
 
 WIDTH = 1024  # of the matrices
@@ -142,23 +143,22 @@ SECONDS = 0.05  # of a copy's measurement
 
 
 @cache
-def multiply_adds_per_s(threads: int) -> float:
-    """Multiply-adds a second of a product of two large float32 matrices."""
-    torch.set_num_threads(threads)
+def multiply_adds_per_s() -> float:
+    """Returns how many multiply-adds a second one thread does in a product of two large float32 matrices."""
+    torch.set_num_threads(1)
     a, b = torch.rand(WIDTH, WIDTH), torch.rand(WIDTH, WIDTH)
     return WIDTH**3 / (1e-3 * timed(lambda: a @ b, seconds=1.0))
 
 
-def copied_per_s(moved: int, threads: int) -> float:
-    """Returns how many bytes a second copies read and write that move about ``moved`` bytes each, from and to the same
-    memory.
-    """
-    return _copied_per_s(max(1 << 12, 1 << (moved - 1).bit_length()), threads)
+def copied_per_s(moved: int) -> float:
+    """Returns how many bytes a second one thread reads and writes in copies that move about ``moved`` bytes each,
+    always from and to the same memory."""
+    return _copied_per_s(max(1 << 12, 1 << (moved - 1).bit_length()))
 
 
 @cache
-def _copied_per_s(moved: int, threads: int) -> float:
-    torch.set_num_threads(threads)
+def _copied_per_s(moved: int) -> float:
+    torch.set_num_threads(1)
     source = torch.rand(moved // 8)
     target = torch.empty_like(source)
     return moved / (1e-3 * timed(lambda: target.copy_(source), seconds=SECONDS))

@@ -17,56 +17,63 @@ _HIGHER = (6, 6, 8, 8, 6, 6, 7, 7, 8), (4, 5, 4, 5, 6, 7, 7, 8, 8)
 
 
 class ChartConsensus(WithTables):
-    """The blend of the charts, and the fit of each chart to that blend."""
+    """A module without weights that blends the charts of each vertex, and fits each chart to that blend."""
 
     def __init__(self) -> None:
-        super().__init__(chart_tables())
+        super().__init__(_chart_tables())
 
     def posed(self, frames: PatchFrames, jet: Tensor) -> Tensor:
-        """Posed jets (P, 3, 18) of ``jet`` (P, 27 or 45) in ``frames``."""
+        """Returns matrices (P, 3, 18) that give a place [m], relative to the root joint, from a column of rest place
+        and basis. ``jet`` (P, 27 or 45) [patch scales] is the change of the rest jets in ``frames``."""
         placed = self.placed_full if jet.shape[-1] == jets.FULL_COUNT else self.placed
         return frames.out @ torch.addmm(self.frame_only, jet, placed).reshape(-1, 4, COLUMNS)
 
-    def agreed(self, said: Tensor, stored: StoredCharts, index: Indices, frames: PatchFrames) -> Tensor:
-        """Returns the jets (P, 27) of charts fitted to their blend, as ``training.chart_consensus.agreed_jets`` does.
-        ``said`` (P, 3, 56) is where each chart puts its members."""
-        return self._fitted(said, stored, index, frames, self.fit_choice)
+    def agreed(self, places: Tensor, stored: StoredCharts, index: Indices, frames: PatchFrames) -> Tensor:
+        """Returns changes (P, 27) [patch scales] of the rest jets with which each chart fits the blend of all, as
+        ``training.chart_consensus.agreed_jets`` does.
 
-    def closed(self, said: Tensor, stored: StoredCharts, index: Indices, frames: PatchFrames) -> Tensor:
-        """Returns the full jets (P, 45) of charts fitted to their blend, as ``training.chart_consensus.closing_jets``
-        does."""
-        return self._fitted(said, stored, index, frames, self.full_choice)
+        ``places`` (P, 3, 56) [m] are those that each chart gives its anchors, times the chart's weight there.
+        """
+        return self._fitted(places, stored, index, frames, self.fit_choice)
+
+    def closed(self, places: Tensor, stored: StoredCharts, index: Indices, frames: PatchFrames) -> Tensor:
+        """Returns changes (P, 45) [patch scales] of the full rest jets with which each chart fits the blend of all, as
+        ``training.chart_consensus.closing_jets`` does. ``places`` are those of ``agreed``."""
+        return self._fitted(places, stored, index, frames, self.full_choice)
 
     def _fitted(
-        self, said: Tensor, stored: StoredCharts, index: Indices, frames: PatchFrames, choice: Tensor
+        self, places: Tensor, stored: StoredCharts, index: Indices, frames: PatchFrames, choice: Tensor
     ) -> Tensor:
         """Jets fitted to the blend; ``choice`` picks their coefficients among the 63."""
         assert index.anchor_charts is not None and index.member_anchor is not None
-        anchors = self._blended(said, index.anchor_charts)
+        anchors = self._blended(places, index.anchor_charts)
         # Coordinates first: three rows of many columns, the shape that small products and differences are fast in.
-        places = torch.index_select(anchors, 1, index.member_anchor.reshape(-1)).reshape(3, -1, MEMBERS)
-        local = frames.into.mT @ ((places.transpose(0, 1) - frames.centre) @ stored.fit)
+        members = torch.index_select(anchors, 1, index.member_anchor.reshape(-1)).reshape(3, -1, MEMBERS)
+        local = frames.into.mT @ ((members.transpose(0, 1) - frames.centre) @ stored.fit)
         # Picked by a product: a Gather of columns takes three times as long.
         return torch.addmm(stored.rest @ choice, local.reshape(-1, 3 * FIT_COUNT), choice, beta=-1)
 
     def columns(self, stored: Tensor) -> Tensor:
-        """Columns (P, 18, 56) of the anchors from those up to the second order (P, 9, 56): (w a) (w b) / w is w a b."""
+        """Returns columns (P, 18, 56) of the anchors of each chart: rest place and basis up to the fourth order, times
+        the chart's weight w. ``stored`` (P, 9, 56) ends at the second order; the others are (w a) (w b) / w = w a b."""
         weight = torch.clamp(stored[:, 3:4], min=1e-30)
         higher = torch.index_select(stored, 1, self.higher_first) * torch.index_select(stored, 1, self.higher_second)
         return torch.cat([stored, higher / weight], dim=1)
 
-    def _blended(self, said: Tensor, charts: Tensor) -> Tensor:
-        """Sums (3, n) over the four ``charts`` (4, ...) of each of n points, of what charts say (Q, 3, columns)."""
-        columns = said.transpose(0, 1).reshape(3, -1)
-        taken = torch.index_select(columns, 1, charts.reshape(-1))
-        return self.chart_sums @ taken.reshape(3 * CHARTS_PER_VERTEX, -1)
+    def _blended(self, places: Tensor, charts: Tensor) -> Tensor:
+        """Sums (3, n) of the weighted ``places`` (Q, 3, columns) over the four ``charts`` (4, ...) of n points."""
+        columns = places.transpose(0, 1).reshape(3, -1)
+        of_points = torch.index_select(columns, 1, charts.reshape(-1))
+        return self.chart_sums @ of_points.reshape(3 * CHARTS_PER_VERTEX, -1)
 
     def blend(self, coefficients: Tensor, columns: Tensor, vertex_charts: Tensor) -> Tensor:
-        """Sums (blocks, 64, 3) over every vertex's charts of the tiles (Q, 3, 18) @ (Q, 18, 32)."""
+        """Returns vertices [m] (blocks, 64, 3) relative to the root joint: sums over the charts ``vertex_charts``
+        (4, blocks, 64) of each vertex, which are columns of the tiles ``coefficients`` (Q, 3, 18) @ ``columns``
+        (Q, 18, 32)."""
         return self._blended(coefficients @ columns, vertex_charts).mT.reshape(-1, VERTICES_PER_BLOCK, 3)
 
 
-def chart_tables() -> dict[str, Tensor]:
+def _chart_tables() -> dict[str, Tensor]:
     """Returns the constant matrices that ``ChartConsensus`` multiplies with, by the names of its buffers."""
     return {
         **_jet_tables(),

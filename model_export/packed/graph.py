@@ -75,17 +75,21 @@ def first_outputs(model: OneFit) -> tuple[TensorSpec, ...]:
 
 
 def write_packed(model: OneFit, path: Path) -> GraphSpec:
-    """Writes the packed graph of ``model`` (vector jets only)."""
+    """Writes the packed graph of ``model`` as the ONNX file ``path``; returns its entry in the manifest.
+
+    Raises ``ArtifactError`` for a network of variant "paper".
+    """
     graph = PackedGraph(model).eval()
     return write_graph(graph, path, packed_inputs(model), packed_outputs(model), translations=TRANSLATIONS)
 
 
 @dataclass(frozen=True)
 class PosedPatches:
-    """Posed jets (P, 3, 18), jets in the frames (P, 27 or 45), and the frames.
+    """P posed patches: ``coefficients`` (P, 3, 18) as ``ChartConsensus.posed`` returns them, and ``jet`` (P, 45)
+    [patch scales], the change of the full rest jets in ``frames``.
 
-    ``skin`` (B, R, 12, 8) of the bodies, where patches feel it.
-    ``passes``: jets (P, 27) before the first correction and after each; none without corrections.
+    ``skin`` (B, R, 12, 8) are the posed samples of the bodies' skin. ``passes`` are the jets (P, 27) before the first
+    correction and after each, () for a network without corrections.
     """
 
     coefficients: Tensor
@@ -96,8 +100,8 @@ class PosedPatches:
 
 
 class FirstGraph(nn.Module):
-    """The graph that runs once per garment: of the features of patches it computes their embedding and, of that, the
-    garment's share of the decoder's first layer."""
+    """The module of the graph that runs once per garment: from the features (K, D) of its patches it computes their
+    embedding (K, E) and, from that, the garment's share (K, W) of the decoder's first layer."""
 
     def __init__(self, model: OneFit) -> None:
         super().__init__()
@@ -109,9 +113,10 @@ class FirstGraph(nn.Module):
 
 
 class PackedGraph(nn.Module):
-    """``drape.graph.packed_inputs.PackedTensors`` by name -> all of ``packed_outputs``.
+    """The module of the packed graph: it takes ``drape.graph.packed_inputs.PackedTensors`` by name, and returns the
+    tensors of ``packed_outputs`` in order.
 
-    Only for vector jets: the paper's variant has another vertex stage, which skins vertices.
+    Raises ``ArtifactError`` for a network of variant "paper", whose vertices are skinned.
     """
 
     axis_sums: Tensor
@@ -140,9 +145,9 @@ class PackedGraph(nn.Module):
         self.register_buffer("axis_sums", torch.eye(JOINT_COUNT).repeat(3, 1))
 
     def forward(self, tensors: dict[str, Tensor]) -> tuple[Tensor, ...]:
-        given = PackedTensors.from_flat(tensors)
-        index, tiles = given.index, given.tiles
-        posed = self.pose(given.bodies, given.patches.each(lambda table: rows(table, index.stored)), index)
+        inputs = PackedTensors.from_flat(tensors)
+        index, tiles = inputs.index, inputs.tiles
+        posed = self.pose(inputs.bodies, inputs.patches.each(lambda table: rows(table, index.stored)), index)
         coefficients = rows(posed.coefficients, index.tile_patch)  # (Q, 3, 18)
         vertices = self.charts.blend(coefficients, rows(tiles.positions, index.tile_stored), index.vertex_charts)
         return (
@@ -151,7 +156,8 @@ class PackedGraph(nn.Module):
         )  # fmt: skip
 
     def pose(self, bodies: PackedBodies, patches: StoredPatches, index: Indices) -> PosedPatches:
-        """Posed jets of ``patches``, those of the items in order."""
+        """Returns ``patches`` posed on ``bodies``. ``patches`` are those of all items of the call, one after the other;
+        ``index`` says on which of the ``bodies`` each is."""
         bones, features = self.kinematics(bodies)
         code = self.body(features)
         if bodies.dynamic_code is not None:
@@ -178,8 +184,7 @@ class PackedGraph(nn.Module):
             jet = jet + self.contact.held(points, self.contact.points(jet + change, places), near) * change
             passes.append(jet)
         jet = charts.closed(charts.posed(frames, jet) @ columns, stored, index, frames)
-        kept = tuple(passes) if len(passes) > 1 else ()
-        return PosedPatches(charts.posed(frames, jet), jet, frames, skin, kept)
+        return PosedPatches(charts.posed(frames, jet), jet, frames, skin, tuple(passes) if self.corrections else ())
 
     def _with_surroundings(self, x: Tensor, joints: Tensor, frames: PatchFrames, base: Tensor) -> Tensor:
         """``x`` plus the layer on ``patch_surroundings`` of posed joints (P, 3, 24), and on ``base``."""
@@ -193,8 +198,9 @@ class PackedGraph(nn.Module):
 
 
 def surroundings_layer(layer: nn.Linear) -> nn.Parameter:
-    """The layer's weights (108, n) for [offsets as (3, 24), rotation, jets of the agreed base] instead of [offsets as
-    (24, 3), gravity, these jets]."""
+    """Returns the weights (108, n) of ``layer`` for the inputs of the packed graph: the joints' offsets as (3, 24), the
+    patch's rotation (9) and the jets of the agreed base (27). ``layer`` itself takes the offsets as (24, 3), gravity
+    (3) and these jets."""
     count = 3 * JOINT_COUNT
     weight = layer.weight.detach()
     base = weight[:, count + 3 :].T
@@ -206,12 +212,13 @@ def surroundings_layer(layer: nn.Linear) -> nn.Parameter:
 
 
 def merged_heads(heads: nn.ModuleDict, gain: float) -> nn.Sequential:
-    """Both heads as one, which gives jets (P, 27); the output gain is in the weights."""
+    """Returns the heads "plane" and "height" as one network, from the trunk's output to jets (P, 27) [patch scales].
+    The output ``gain`` is in its weights."""
     plane, height = _linears(heads["plane"]), _linears(heads["height"])
     layers: list[nn.Module] = []
     for depth, (a, b) in enumerate(zip(plane[:-1], height[:-1], strict=True)):
-        made = _side_by_side(a, b, shared=depth == 0)  # both read the trunk's output
-        layers += [made, nn.LeakyReLU(SLOPE)]
+        layer = _side_by_side(a, b, shared=depth == 0)  # both read the trunk's output
+        layers += [layer, nn.LeakyReLU(SLOPE)]
     last = _side_by_side(plane[-1], height[-1], shared=len(plane) == 1)
     with torch.no_grad():
         last.weight.mul_(gain)
@@ -220,7 +227,7 @@ def merged_heads(heads: nn.ModuleDict, gain: float) -> nn.Sequential:
 
 
 def correction_layers(correction: nn.Module, gain: float) -> nn.Sequential:
-    """A ``training.layers.Correction`` with the output gain in its weights."""
+    """Returns a copy of ``correction``, a ``training.layers.Correction``, with the output ``gain`` in its weights."""
     first, last = _linears(correction)
     scaled = nn.Linear(last.in_features, last.out_features)
     with torch.no_grad():

@@ -34,7 +34,9 @@ _LEFT = (
 
 @dataclass(frozen=True)
 class PosedBones:
-    """Bones of B bodies: quaternions (B, 24, 4), rotations (B, 24, 3, 3), translations and joints [m] (B, 24, 3)."""
+    """The bones of B posed bodies in the axes of the world, relative to the root joint: quaternions wxyz (B, 24, 4) and
+    rotations (B, 24, 3, 3), translations [m] (B, 24, 3) that take rest places to posed ones, and joints [m] (B, 24, 3).
+    """
 
     quaternion: Tensor
     rotation: Tensor
@@ -46,7 +48,8 @@ class PosedBones:
 class PatchFrames:
     """Posed frames of P patches: ``rotation`` (P, 3, 3), ``centre`` [m] (P, 3, 1), ``scale`` [m] (P, 1, 1).
 
-    ``out`` (P, 3, 4) takes patch scales to the world; ``into`` (P, 3, 3), transposed, world vectors to patch scales.
+    Frames turn and move into the axes of the world, relative to the root joint. ``out`` (P, 3, 4) takes a place
+    [patch scales] and 1 to a place [m]; the transpose of ``into`` (P, 3, 3) takes a vector [m] to patch scales.
     """
 
     rotation: Tensor
@@ -57,22 +60,23 @@ class PatchFrames:
 
 
 class PatchKinematics(WithTables):
-    """Bodies -> bones, features, and the frames of their patches."""
+    """A module without weights that computes the bones and features of bodies, and the posed frames of patches."""
 
     def __init__(self) -> None:
         jumps = {f"jump_{i}": jump for i, jump in enumerate(ancestor_jumps())}
-        super().__init__(kinematic_tables() | jumps)
+        super().__init__(_kinematic_tables() | jumps)
         self.jumps = list(jumps)
 
     def forward(self, bodies: PackedBodies) -> tuple[PosedBones, Tensor]:
-        """Bones of ``bodies``, and ``drape.body.features.static_features`` and the shape (B, 226)."""
+        """Returns the bones of ``bodies``, and the inputs (B, 226) of the body encoder: of each joint the nine numbers
+        of ``drape.body.features.static_features``, then the ten of the shape."""
         quaternion, rotation, joints = self._posed_joints(bodies.quaternion, bodies.rest)
         translation = joints - (rotation @ bodies.rest[..., None])[..., 0]
         features = self._features(bodies.quaternion, rotation, bodies.betas)
         return PosedBones(quaternion, rotation, translation, joints), features
 
     def frames(self, bodies: PackedBodies, bones: PosedBones, patches: StoredPatches, index: Indices) -> PatchFrames:
-        """The frames of ``patches`` on the bodies that ``index`` names."""
+        """Returns the posed frames of P ``patches``; ``index`` says on which of the ``bodies`` each is."""
         blended = self._blended_rotation(bones.quaternion, patches.weights, index)
         rotation = blended @ patches.rotation
         # Rest centres moved by the shape, then by the blended bones.
@@ -101,7 +105,8 @@ class PatchKinematics(WithTables):
 
     def _features(self, local: Tensor, rotation: Tensor, betas: Tensor) -> Tensor:
         """``drape.body.features.static_features`` and the shape (B, 226)."""
-        relative = torch.index_select(local, 1, self.without_root)  # the root's own turn is not told
+        # The identity in place of the root's rotation: the network sees of it only the direction of gravity.
+        relative = torch.index_select(local, 1, self.without_root)
         outer = (relative[..., :, None] * relative[..., None, :]).reshape(-1, JOINT_COUNT, 16)
         parts = [self.neutral + outer @ self.sixd_terms, -rotation[:, :, 1, :]]
         static = torch.cat(parts, dim=-1).reshape(-1, JOINT_COUNT * STATIC_PER_JOINT)
@@ -123,15 +128,15 @@ class PatchKinematics(WithTables):
         return self._matrices(mixed).reshape(-1, 3, 3)
 
 
-def kinematic_tables() -> dict[str, Tensor]:
+def _kinematic_tables() -> dict[str, Tensor]:
     """Returns the constant tensors that ``PatchKinematics`` computes with, by the names of its buffers."""
     rotation = torch.zeros(16, 10)
     for column, entries in enumerate(_ROTATION):
         for row, factor in entries:
             rotation[row, column] = factor
-    left = torch.zeros(4, 16)
+    product = torch.zeros(4, 16)
     for column, (row, sign) in enumerate(_LEFT):
-        left[row, column] = sign
+        product[row, column] = sign
     offsets, descent = torch.eye(JOINT_COUNT), torch.zeros(JOINT_COUNT, JOINT_COUNT)
     for joint, parent in enumerate(PARENTS):
         if parent >= 0:
@@ -142,7 +147,7 @@ def kinematic_tables() -> dict[str, Tensor]:
         "rotation_terms": rotation,
         "sixd_terms": rotation[:, list(_SIXD)],
         "neutral": torch.eye(3).reshape(9)[list(_SIXD)],
-        "left_terms": left,
+        "left_terms": product,
         "identity": torch.eye(3).reshape(1, 9),
         "offsets": offsets,
         "descent": descent,
@@ -152,7 +157,8 @@ def kinematic_tables() -> dict[str, Tensor]:
 
 
 def ancestor_jumps() -> list[Tensor]:
-    """Ancestors (25,) of every joint at distance 1, 2, 4, ... until all are past the root; row 24 is past it."""
+    """Returns index tensors (25,): the ancestor of each joint one step up, then two, four, ... as long as any has one.
+    24 stands for no ancestor, and row 24 holds 24."""
     above = [parent if parent >= 0 else JOINT_COUNT for parent in PARENTS] + [JOINT_COUNT]
     jumps = []
     while any(joint != JOINT_COUNT for joint in above):

@@ -44,7 +44,7 @@ TRANSLATIONS = {torch.ops.aten.index_select.default: _gather, torch.ops.drape.so
 
 
 def rows(table: Tensor, index: Tensor) -> Tensor:
-    """The rows ``index`` of ``table``."""
+    """Returns the rows (n, ...) of ``table`` (m, ...) that ``index`` (n,) names."""
     return torch.index_select(table, 0, index)
 
 

@@ -23,17 +23,22 @@ PLACES = 2 * STRAIN_POINTS  # of a patch: each point before its own part of the 
 
 
 def posed_skins(skins: ShapedSkins, rotation: Tensor, translation: Tensor) -> Tensor:
-    """Tables (B, R, 12, 8) of the skins of bodies with these bones."""
+    """Returns the posed samples (B, R, 12, 8) of the bodies' skin as ``drape.contact.samples.sample_table`` has them.
+
+    ``rotation`` (B, 24, 3, 3) and ``translation`` (B, 24, 3) [m] are those of the bones.
+    """
     return skin_table(torch.index_select(skins.rows, 0, skins.shape), skins.bones, rotation, translation)
 
 
 @dataclass(frozen=True)
 class NearPlanes:
-    """Tangent planes near the patches, in their own frames; numbers lie by axis, then part of the body, then point.
+    """The body's tangent planes near the seven points of P patches, in the frames of the patches: at each point one of
+    the patch's own part of the body and one of its other parts.
 
-    ``missing`` = ``offset`` + sum over axes of ``normal`` x place [patch scales] is the depth [cm] of a point below the
-    height at which it feels the plane. ``share`` (P, 14), from 0 to 1, tells whether there is a plane. ``pull`` (P, 14)
-    is the share times the factor that makes ``normal`` (P, 42) unit normals again.
+    Columns are sorted by axis, then part, then point. ``offset`` (P, 14) + the sum over axes of ``normal`` (P, 42) x
+    place [patch scales] is the depth [cm] of a point below the height at which it feels the plane. ``share`` (P, 14),
+    from 0 to 1, says whether there is a plane. ``pull`` (P, 14) is the share times the factor that makes ``normal`` a
+    unit normal.
     """
 
     normal: Tensor
@@ -43,26 +48,29 @@ class NearPlanes:
 
 
 class Contact(WithTables):
-    """Body proximity of patches in their own frames, where a pass is a few products (``drape.contact.proximity``).
+    """A module without weights: body proximity (``drape.contact.proximity``) in the frames of the patches, where a pass
+    is a few products.
 
     The planes are looked up in the world, once; jets move points along the axes of their patch.
     """
 
     def __init__(self) -> None:
-        super().__init__(skin_plane_tables())
+        super().__init__(_skin_plane_tables())
 
     def places(self, lists: StoredProximity) -> Tensor:
-        """Rest places (P, 42) of the points, for both parts of the body."""
+        """Returns the rest places (P, 42) [patch scales] of the seven points of each patch, in its frame: twice, for
+        the two parts of the body."""
         return lists.place.reshape(-1, 3 * STRAIN_POINTS) @ self.twice
 
     def points(self, jet: Tensor, places: Tensor) -> Tensor:
-        """The points (P, 42) [patch scales] of ``jet`` (P, 27)."""
+        """Returns ``places`` (P, 42) [patch scales] moved by ``jet`` (P, 27), the change of the rest jets."""
         return torch.addmm(places, jet, self.point_terms)
 
     def near(
         self, points: Tensor, skin: Tensor, lists: StoredProximity, patch_body: Tensor, frames: PatchFrames
     ) -> NearPlanes:
-        """Planes near ``points`` (P, 42) of patches on the bodies ``patch_body`` (P,), of ``skin`` (B, R, 12, 8)."""
+        """Returns the planes near ``points`` (P, 42) [patch scales] of the posed samples ``skin`` (B, R, 12, 8);
+        ``patch_body`` (P,) says on which body each patch is."""
         world = (frames.rotation * frames.scale) @ points.reshape(-1, 3, PLACES) + frames.centre
         middle = torch.addmm(self.middle_last, world.reshape(-1, 3 * PLACES), self.middle_terms)
         means = near_means(world[:, :, :STRAIN_POINTS].mT, middle, skin, lists, patch_body)
@@ -74,21 +82,23 @@ class Contact(WithTables):
         return NearPlanes(normal, offset, share, share / unit)
 
     def forward(self, points: Tensor, near: NearPlanes) -> list[Tensor]:
-        """Closeness (P, 14) and softened force on the jets (P, 27) as ``training.onefit`` gives them to corrections."""
+        """Returns two inputs of a correction, both between -1 and 1: how near the planes are to ``points`` (P, 14), and
+        the softened force (P, 27) with which they push the jets."""
         missing = torch.addmm(near.offset, near.normal * points, self.axis_sums)
         pull = (near.pull * torch.relu(missing)) @ self.axis_copies
         # A quarter of the force, softened, which takes four times its argument.
         return [near.share * torch.tanh(missing), softsign((pull * near.normal) @ self.point_terms.mT)]
 
     def held(self, before: Tensor, after: Tensor, near: NearPlanes) -> Tensor:
-        """The share (P, 1) that patches go of a correction from ``before`` to ``after`` (P, 42): ``held_share``."""
+        """Returns the share (P, 1), from 0 to 1, of a correction that each patch takes: ``held_share``. Its points go
+        from ``before`` to ``after`` (P, 42) [patch scales]."""
         missing = torch.addmm(near.offset, near.normal * before, self.axis_sums)
         deeper = near.share * ((near.normal * (after - before)) @ self.axis_sums)
         room = torch.relu((GAP_M + HELD_M) / UNIT_M - missing) + SOFT_M / UNIT_M
         return torch.amin(room / torch.maximum(deeper + SOFT_M / UNIT_M, room), dim=-1, keepdim=True)
 
 
-def skin_plane_tables() -> dict[str, Tensor]:
+def _skin_plane_tables() -> dict[str, Tensor]:
     """Returns the constant matrices that ``Contact`` multiplies with, by the names of its buffers."""
     basis = torch.from_numpy(jets.basis(strain_points(), jets.HEIGHT_ORDER)).float()  # (7, 15)
     terms = torch.zeros(jets.JET_COUNT, 3, 2, STRAIN_POINTS)
@@ -109,9 +119,10 @@ def skin_plane_tables() -> dict[str, Tensor]:
 
 
 def near_means(places: Tensor, middle: Tensor, skin: Tensor, lists: StoredProximity, patch_body: Tensor) -> Tensor:
-    """Means (P, 8, 14) of the samples about ``places`` [m] (P, 7, 3): of the own part, then of others.
+    """Returns the means (P, 8, 14) of the samples ``skin`` (B, R, 12, 8) around ``places`` [m] (P, 7, 3) as
+    ``drape.contact.field.attend`` weights them: seven of the patch's own part of the body, then seven of other parts.
 
-    ``middle`` (P, 4) is the mean place of each patch, and one.
+    ``middle`` (P, 4) is the mean place [m] of each patch, and 1; ``patch_body`` (P,) says on which body it is.
     """
     bodies, regions = skin.shape[0], skin.shape[1]
     query = queries(places.mT).mT
@@ -124,8 +135,8 @@ def near_means(places: Tensor, middle: Tensor, skin: Tensor, lists: StoredProxim
 
     region = region_centres(skin)
     rows = torch.cat([-2.0 * region, (region * region).sum(dim=-1, keepdim=True)], dim=-1).reshape(bodies, -1)
-    seen = torch.index_select(rows, 0, body).reshape(-1, regions, 4)
-    squared = (seen @ middle[:, :, None]).reshape(-1, regions)
+    around = torch.index_select(rows, 0, body).reshape(-1, regions, 4)
+    squared = (around @ middle[:, :, None]).reshape(-1, regions)
     bias = lists.region.reshape(-1, regions).to(places.dtype)
     top = torch.topk(REGION_BIAS_M2 * bias - squared, REGION_COUNT, dim=-1, sorted=False)[1]
     table = torch.index_select(skin.reshape(-1, 8 * REGION_SIZE), 0, (top + (stride * body)[:, None]).reshape(-1))

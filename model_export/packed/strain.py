@@ -36,13 +36,14 @@ STRESS = ((1.0 + TRACE_SHARE, TRACE_SHARE, 0.0), (TRACE_SHARE, 1.0 + TRACE_SHARE
 
 @dataclass(frozen=True)
 class Stretch:
-    """Constants of the patches of a call: ``tangent`` (P, 63) of the rest jets, ``monomials`` (P, 42)."""
+    """What ``Strain`` needs of P patches at rest, at seven points each: ``tangent`` (P, 63), the rest jets' derivatives
+    in the module's three directions, by direction, axis and point, and ``monomials`` (P, 42) by kind and point."""
 
     tangent: Tensor
     monomials: Tensor
 
 
-def strain_tables() -> dict[str, Tensor]:
+def _strain_tables() -> dict[str, Tensor]:
     """Returns the constant matrices that ``Strain`` multiplies with, by the names of its buffers.
 
     The numbers of a point lie together by kind, points last.
@@ -75,19 +76,21 @@ def _per_point(matrix: Tensor) -> Tensor:
 
 
 class Strain(WithTables):
-    """Jets of patches -> ``softened`` strain and force, as the corrections take them."""
+    """A module without weights that computes the strain of patches and the force on their jets, both softened by
+    ``training.chart_consensus.softened``."""
 
     def __init__(self) -> None:
-        super().__init__(strain_tables())
+        super().__init__(_strain_tables())
 
     def stretch(self, tangent: Tensor, unit: Tensor) -> Stretch:
-        """Returns the constants of a call's patches from the stored ``strain_tangent`` (P, 42) and ``strain_unit`` (P,
-        3, 7)."""
+        """Returns the constants of P patches from the graph's inputs ``strain_tangent`` (P, 42) and ``strain_unit``
+        (P, 3, 7)."""
         factors = unit.reshape(-1, 3 * STRAIN_POINTS)
         return Stretch(tangent @ self.directions, (factors @ self.first_factor) * (factors @ self.second_factor))
 
     def forward(self, jet: Tensor, rest: Stretch) -> tuple[Tensor, Tensor]:
-        """Softened strain (P, 21) and force (P, 27) of ``jet`` (P, 27)."""
+        """Returns the strain (P, 21) and the force (P, 27) on the jets, both softened to between -1 and 1, of patches
+        whose rest jets change by ``jet`` (P, 27) [patch scales]."""
         tangent = torch.addmm(rest.tangent, jet, self.direction_terms)
         terms = rest.monomials * ((tangent * tangent) @ self.tangent_products)
         strain = torch.addmm(self.strain_at_rest, terms, self.strain_sums)  # times the softening, as all that follows

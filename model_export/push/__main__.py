@@ -5,8 +5,8 @@ python -m model_export.push
 
 from __future__ import annotations
 
-from model_export.push.push_graphs import PUSHES, stored, traced
+from model_export.push.push_graphs import PUSHES, graph_path, trace_graph
 
 if __name__ == "__main__":
     for name in PUSHES:
-        stored(name).write_bytes(traced(name))
+        graph_path(name).write_bytes(trace_graph(name))

@@ -34,7 +34,8 @@ OUTPUTS: tuple[TensorSpec, ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Drapes(Tensors):
-    """F drapes over bodies; names that start with "push" are constants of a garment, with "skin" of a body."""
+    """F drapes of V vertices over posed bodies, in one frame of coordinates: vertices, transforms of the bones,
+    clearance, and the constants of the body's skin."""
 
     vertices: Array = tensor("vertices", "frames", "vertices", 3, unit="m")
     rotation: Array = tensor("bone_rotation", "frames", JOINT_COUNT, 3, 3)
@@ -43,28 +44,29 @@ class Drapes(Tensors):
     skin: SkinOnBones = group(SkinOnBones)
 
     def samples(self) -> Array:
-        """The posed skin (F, R, 12, 8)."""
+        """Returns the posed samples (F, R, 12, 8) of the skin as ``drape.contact.samples.sample_table`` has them."""
         return skin_table(self.skin.rows, self.skin.bones, self.rotation, self.translation)
 
 
 @dataclass(frozen=True, eq=False)
 class PushTensors(Drapes):
-    """Inputs of the push-out."""
+    """Inputs of the push-out: drapes, and the constants ``feed`` of their garment."""
 
     feed: PushFeed = group(PushFeed)
 
 
 @dataclass(frozen=True, eq=False)
 class LayerTensors(Drapes):
-    """Inputs of the push-out of a garment over others, which come as their draped vertices."""
+    """Inputs of the push-out of a garment over others: its drapes and constants, and the vertices ``under`` of the
+    others' drapes."""
 
     feed: LayerFeed = group(LayerFeed)
     under: Array = tensor("under", "frames", "under_vertices", 3, unit="m")
 
 
 class PushGraph(nn.Module):
-    """The graph of ``drape.contact.projection.push_out``. Bones pose the skin, or it is given posed; the posed skin is
-    an output too."""
+    """The module of ``drape.contact.projection.push_out`` as a graph: it takes ``PushTensors`` by name, and returns the
+    tensors of ``OUTPUTS``."""
 
     inputs = PushTensors.specs()
 
@@ -75,39 +77,41 @@ class PushGraph(nn.Module):
 
 
 class LayerGraph(nn.Module):
-    """The graph of ``drape.graph.layer_feed.push_over``, with the skin as in ``PushGraph``."""
+    """The module of ``drape.graph.layer_feed.push_over`` as a graph: it takes ``LayerTensors`` by name, and returns the
+    tensors of ``OUTPUTS``."""
 
     inputs = LayerTensors.specs()
 
     def forward(self, tensors: dict[str, Tensor]) -> tuple[Tensor, ...]:
         drapes = LayerTensors.from_flat(tensors)
         skin = drapes.samples()
-        found = push_over_in_parts(drapes.vertices, drapes.under, skin, drapes.feed, drapes.clearance)
-        return *_parts(found), skin
+        pushed = push_over_in_parts(drapes.vertices, drapes.under, skin, drapes.feed, drapes.clearance)
+        return *_parts(pushed), skin
 
 
-def _parts(found: Pushed) -> tuple[Tensor, Tensor, Tensor]:
-    return found.vertices, found.coefficients, found.left_m
+def _parts(pushed: Pushed) -> tuple[Tensor, Tensor, Tensor]:
+    return pushed.vertices, pushed.coefficients, pushed.left_m
 
 
 PUSHES: dict[str, Callable[[], PushGraph | LayerGraph]] = {"push_out": PushGraph, "push_over": LayerGraph}
 
 
 def write_push(name: str, folder: Path) -> GraphSpec:
-    """Writes the graph ``name`` of ``PUSHES``, which is the same for every model, as it was traced once."""
+    """Copies the graph ``name`` of ``PUSHES``, which was traced once for all models, to ``NAME.onnx`` in ``folder``.
+    Returns its entry in the manifest."""
     path = folder / f"{name}.onnx"
-    path.write_bytes(stored(name).read_bytes())
+    path.write_bytes(graph_path(name).read_bytes())
     return GraphSpec(path.name, file_digest(path), OPSET, PUSHES[name].inputs, OUTPUTS)
 
 
-def stored(name: str) -> Path:
+def graph_path(name: str) -> Path:
     """Returns the path of the traced graph ``name`` beside this file. Every export compares it with the reference in
     NumPy."""
     return Path(__file__).with_name(f"{name}.onnx")
 
 
-def traced(name: str) -> bytes:
-    """The file of the graph ``name``, traced anew; half a minute."""
+def trace_graph(name: str) -> bytes:
+    """Returns the content of the ONNX file of the graph ``name``, traced anew, which takes half a minute."""
     graph = PUSHES[name]()
     with tempfile.TemporaryDirectory(prefix="push-out-") as folder:
         path = Path(folder) / "push.onnx"

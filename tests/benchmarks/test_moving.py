@@ -47,7 +47,7 @@ def test_a_still_is_made_once_and_then_read(drapery: DrapeRuntime, clip: CaseCli
 def test_an_exact_drape_is_made_when_asked_for(drapery: DrapeRuntime, clip: CaseClip, tmp_path: Path):
     garment, kept = shipped("tank"), stills.Stills(drapery, tmp_path / "stills.json")
     assert kept.exact_of(garment, clip, 11) is None
-    row, (settled,) = kept.exact_of(garment, clip, 11, made=True), kept.of([garment], clip, 11)
+    row, (settled,) = kept.exact_of(garment, clip, 11, computes=True), kept.of([garment], clip, 11)
     assert row is not None and row == kept.exact_of(garment, clip, 11)
     assert row["crossings"] == 0 and row["force_share"] < 0.02
     assert 0.0 < abs(row["curvature"] / settled["curvature"] - 1.0) < 0.2
@@ -59,7 +59,7 @@ def test_crumpled_cloth_has_more_curvature_than_its_still(
     garment, skin = shipped("tank"), _standing(moving.ClipSkin(clip))
     vertices, told = moving.streamed(drapery, [garment], clip, "balanced")
     assert told["resets"] == 0 and vertices.shape == (12, garment.vertex_count, 3)
-    looks = stills.stills_of(garment)
+    looks = stills.looks_of(garment)
     at_rest = {11: stills.still_figures(looks, vertices[11].astype(float))}
     stays = np.repeat(vertices[11:], 12, axis=0).astype(float)
     same = moving.shares_of(looks, stays, [at_rest], {})
@@ -79,7 +79,7 @@ def test_each_frame_is_beside_the_still_of_its_own_pose(
     """Cloth that always lies as its still does, crumpled at first and ever smoother: shares of 1 of its own stills,
     more of the last one.
     """
-    looks = stills.stills_of(shipped("tank"))
+    looks = stills.looks_of(shipped("tank"))
     noise = rng.normal(0.0, 0.002, looks.place.shape)
     vertices = looks.place + np.linspace(1.0, 0.0, 12)[:, None, None] * noise
     own = [{frame: stills.still_figures(looks, vertices[frame]) for frame in near} for near in stills.posed_at(clip)]
@@ -111,7 +111,7 @@ def test_the_record_has_the_still_of_every_measured_pose(body: BodyModel):
 
 def test_cloth_in_the_body_is_counted(clip: CaseClip):
     garment, skin = shipped("tank"), _standing(moving.ClipSkin(clip), 0)
-    worn, looks = garment.vertices[: garment.vertex_count].astype(float), stills.stills_of(garment)
+    worn, looks = garment.vertices[: garment.vertex_count].astype(float), stills.looks_of(garment)
     outside, inside = (
         moving.moving_row(looks, np.repeat(x[None], 12, axis=0), skin) for x in (worn, worn - [0.0, 0.0, 0.05])
     )

@@ -33,16 +33,16 @@ def test_without_data_the_run_ends_with_a_sentence(tmp_path: Path, monkeypatch: 
 
 
 def test_a_cut_is_right_where_base_and_panels_are_or_a_sentence_says_what_is_not_seen():
-    assert recovery_cuts.told_words("tshirt", Cut("tshirt", True, {}, ()), panels=True) == "yes"
-    assert recovery_cuts.told_words("tshirt", Cut("tank", True, {}, ()), panels=True) == "no, tshirt"
-    assert recovery_cuts.told_words("tank", Cut("tank", True, {}, UNSEEN)) == "base; seams unseen"
-    assert recovery_cuts.told_words("skirt", Cut("skirt", True, {}, ())) == "base"
+    assert recovery_cuts.verdict("tshirt", Cut("tshirt", True, {}, ()), panels=True) == "yes"
+    assert recovery_cuts.verdict("tshirt", Cut("tank", True, {}, ()), panels=True) == "no, tshirt"
+    assert recovery_cuts.verdict("tank", Cut("tank", True, {}, UNSEEN)) == "base; seams unseen"
+    assert recovery_cuts.verdict("skirt", Cut("skirt", True, {}, ())) == "base"
 
 
 def test_a_refusal_is_right_where_it_is_asked_for():
-    assert recovery_cuts.told_words("tshirt", None) == "no, tshirt"
-    assert recovery_cuts.told_words(recovery_cuts.REFUSED, None) == "yes"
-    assert recovery_cuts.told_words(recovery_cuts.REFUSED, Cut("tshirt", True, {}, ())) == "no, refused"
+    assert recovery_cuts.verdict("tshirt", None) == "no, tshirt"
+    assert recovery_cuts.verdict(recovery_cuts.REFUSED, None) == "yes"
+    assert recovery_cuts.verdict(recovery_cuts.REFUSED, Cut("tshirt", True, {}, ())) == "no, refused"
 
 
 def test_a_target_that_is_refused_has_the_sentence_in_its_row(tmp_path: Path):
@@ -50,7 +50,7 @@ def test_a_target_that_is_refused_has_the_sentence_in_its_row(tmp_path: Path):
     job = recovery_cuts.as_user(tmp_path / "t.obj", tmp_path / "out", "--body", "fit", "--minutes", "6")
     assert (job.body, job.base, job.minutes, job.retarget) == ("fit", None, 6.0, False)
     row = recovery_cuts.recover_job(
-        job, lambda cut, panels: recovery_cuts.told_words("tshirt", cut), tmp_path / "pictures"
+        job, lambda cut, panels: recovery_cuts.verdict("tshirt", cut), tmp_path / "pictures"
     )
     assert row["base"] == "refused" and row["told"] == "no, tshirt" and "mean_mm" not in row
     assert row["refused"] and not (tmp_path / "pictures").exists()

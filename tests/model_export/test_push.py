@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from model_export.parity import layer_case, parity_poses, push_case, push_parity_error, session
-from model_export.push.push_graphs import PUSHES, stored, traced, write_push
+from model_export.push.push_graphs import PUSHES, graph_path, trace_graph, write_push
 from tests.fixtures.packed import garment
 
 pytestmark = pytest.mark.slow
@@ -66,4 +66,4 @@ def test_parity_is_measured(written):
 @pytest.mark.long
 @pytest.mark.parametrize("name", PUSHES)
 def test_the_stored_graph_is_traced_from_this_code(name: str):
-    assert traced(name) == stored(name).read_bytes(), "python -m model_export.push stores it anew"
+    assert trace_graph(name) == graph_path(name).read_bytes(), "python -m model_export.push stores it anew"

@@ -128,7 +128,7 @@ def test_a_network_of_vector_jets_closes_with_full_ones():
     for config, count in ((TINY, jets.FULL_COUNT), (as_published(TINY), jets.JET_COUNT)):
         model = OneFit(config).eval()
         with torch.no_grad():
-            features = partition().encoded(JERSEY)[:, : config.encoder_feature_count]
+            features = partition().encoder_inputs(JERSEY)[:, : config.encoder_feature_count]
             jet = model(bodies, partition().patches, model.garment(features), charts=partition().consensus).jet
         assert jet.shape[-1] == model.jet_count == count
 
@@ -181,7 +181,7 @@ def test_passes_choose_how_many_corrections_are_taken():
     bodies = source().pose(np.zeros((1, 24, 3)) + 0.1, np.zeros((1, body().shape_count))).tensors
     charts, patches = partition().consensus, partition().patches
     with torch.no_grad():
-        embedding = model.garment(partition().encoded(JERSEY))
+        embedding = model.garment(partition().encoder_inputs(JERSEY))
         got = [model(bodies, patches, embedding, charts=charts, passes=n).jet for n in (0, 1, 2, None)]
     assert float((got[0] - got[1]).abs().max()) > 1e-4 and float((got[1] - got[2]).abs().max()) > 1e-4
     assert torch.equal(got[2], got[3])
@@ -206,7 +206,7 @@ def test_autocast_stays_near_full_precision():
     jets_of = []
     for model.autocast in (False, True):
         with torch.no_grad():
-            embedding = model.garment(partition().encoded(JERSEY))
+            embedding = model.garment(partition().encoder_inputs(JERSEY))
             jets_of.append(model(bodies, partition().patches, embedding, charts=partition().consensus).jet)
     assert jets_of[1].dtype == torch.float32
     gap = float((jets_of[0] - jets_of[1]).abs().max())

@@ -8,14 +8,14 @@ import pytest
 from drape.cloth.fabric_table import FABRICS
 from drape.errors import InputError
 from training import fabrics
-from training.fabrics import APART, LIKENESS, FabricBank, likeness, stretch_share
+from training.fabrics import APART, COMPARED, FabricBank, fabric_distance, stretch_share
 
 
 def test_draws_span_the_table_and_leave_out_what_is_held_out(rng):
     bank = FabricBank(("twill",))
     drawn = [bank.draw(rng) for _ in range(400)]
-    assert min(likeness(cloth, FABRICS["twill"]) for cloth in drawn) >= APART
-    for name in LIKENESS:
+    assert min(fabric_distance(cloth, FABRICS["twill"]) for cloth in drawn) >= APART
+    for name in COMPARED:
         known = [getattr(cloth, name) for cloth in bank.known]
         found = np.array([getattr(cloth, name) for cloth in drawn])
         assert found.min() < 1.3 * min(known) and found.max() > max(known) / 1.6, name

@@ -95,7 +95,7 @@ def test_turning_the_body_about_the_vertical_turns_the_drape():
     turned[:, 0] = matrix_to_rotvec(turn @ rotvec_to_matrix(poses[:, 0]))
     betas = np.zeros((2, body().shape_count))
     with torch.no_grad():
-        embedding = model.garment(partition.encoded(JERSEY))
+        embedding = model.garment(partition.encoder_inputs(JERSEY))
         outputs = []
         for set_of_poses in (poses, turned):
             state = model(
@@ -136,7 +136,7 @@ def test_untrained_network_stays_near_plain_skinning():
     model = OneFit(ModelConfig()).eval()
     partition = garment().partitions[0]
     with torch.no_grad():
-        embedding = model.garment(partition.encoded(JERSEY))
+        embedding = model.garment(partition.encoder_inputs(JERSEY))
         state = model(batch().tensors, partition.patches, embedding, charts=partition.consensus)
         plain = model(batch().tensors, partition.patches, embedding, charts=partition.consensus, passes=0)
         rotation, centre = pose_frames(batch().tensors, partition.patches)
@@ -158,7 +158,7 @@ def test_paper_variant_moves_patches_by_translation_and_scale():
     partition = garment().partitions[0]
     bodies = batch()
     with torch.no_grad():
-        embedding = model.garment(partition.encoded(None))
+        embedding = model.garment(partition.encoder_inputs(None))
         out, _ = model.decoder(model.body(bodies.tensors.features), embedding)
         jet, _ = model.predict(bodies.tensors, embedding)
         state = model(bodies.tensors, partition.patches, embedding)

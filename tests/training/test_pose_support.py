@@ -30,9 +30,9 @@ def test_seen_poses_and_their_mirror_images_are_within_and_so_are_99_of_100_unse
     seen, unseen = poses(200), poses(400, 7.0)
     made = pose_support.support_of(seen, unseen)
     assert (made.novelty(unseen) <= 1.0).mean() >= pose_support.PASSING
-    few = pose_support.support_of(seen, unseen, kept={"legs": 200, "trunk": 200, "tilt": 400})
+    few = pose_support.support_of(seen, unseen, counts={"legs": 200, "trunk": 200, "tilt": 400})
     assert few.distances(mirror_poses(seen[:1])).max() <= few.distances(unseen).max()
-    shares = pose_support.beyond(made, {"seen": seen})
+    shares = pose_support.shares_beyond(made, {"seen": seen})
     assert shares["uniform to 3.1 rad"] == 1.0
 
 

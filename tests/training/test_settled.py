@@ -33,7 +33,7 @@ def still(name: str) -> tuple[np.ndarray, np.ndarray]:
     posed = source().pose(np.zeros((1, 24, 3)), np.zeros((1, body().shape_count)))
     assert posed.tensors.skin is not None
     settler = Settler(body())
-    return start, settler.settled(settler.constants(garment(), fabric(name)), start, posed.tensors.skin.numpy())
+    return start, settler.settle(settler.constants(garment(), fabric(name)), start, posed.tensors.skin.numpy())
 
 
 def test_cloth_that_settles_has_less_energy_and_gives_as_its_fabric_does():
@@ -54,7 +54,7 @@ def test_cloth_that_settles_has_less_energy_and_gives_as_its_fabric_does():
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Trainer, Path]:
     """The trainer and the folder of its file; both are read by every test and changed by none."""
     trainer = Trainer(FABRIC_RUN, bank(), device=CPU)
-    found = settled.make(trainer, Settler(body()))
+    found = settled.settle_drapes(trainer, Settler(body()))
     assert found is not None
     folder = tmp_path_factory.mktemp("files")
     found.save(folder / "001_000000.npz")

@@ -22,7 +22,7 @@ from training.config import TrainConfig, dynamic, shipped
 from training.onefit import OneFit
 from training.poses import read_training_clips
 from training.run import make_trainer
-from training.starting import finetuned, load_exported, read_model, start_from, with_garments
+from training.starting import finetune_from, load_exported, read_model, start_from, with_garments
 
 TANK, SHORTS = (str(next(GARMENTS_DIR.glob(f"{name}-*.npz"))) for name in ("tank", "shorts"))
 
@@ -121,7 +121,7 @@ def test_garments_take_the_place_of_the_presets():
 
 def test_fine_tuning_starts_from_the_model_on_the_garment_alone(tiny: tuple[OneFit, Path]):
     model, folder = tiny
-    config, weights = finetuned(folder, [TANK])
+    config, weights = finetune_from(folder, [TANK])
     assert config.data.garments == (TANK,) and config.data.held_out == ("walk",) and config.early_agreement == 1.0
     config = replace(config, data=replace(config.data, partitions=1), batch_size=2, threads=1)
     trainer = make_trainer(config, read_training_clips([MOTIONS_DIR], held_out=()), device=CPU, weights=weights)
@@ -133,7 +133,7 @@ def test_fine_tuning_starts_from_the_model_on_the_garment_alone(tiny: tuple[OneF
 
 def test_without_a_garment_training_goes_on_with_those_of_the_preset(tiny: tuple[OneFit, Path]):
     model, folder = tiny
-    config, weights = finetuned(folder, None)
+    config, weights = finetune_from(folder, None)
     assert config.data == replace(shipped().data, held_out=("walk",)) and config.model == TINY
     assert (config.early_agreement, config.minutes) == (1.0, shipped().minutes)
     assert config.learning_rate < shipped().learning_rate and same(weights, model)
@@ -142,7 +142,7 @@ def test_without_a_garment_training_goes_on_with_those_of_the_preset(tiny: tuple
 def test_of_a_dynamic_model_the_static_drape_is_fine_tuned(tmp_path: Path):
     moving = OneFit(MOVING)
     checkpoint.save(tmp_path / "checkpoint.pt", {"model": moving.state_dict()}, replace(TINY_RUN, model=MOVING))
-    config, weights = finetuned(tmp_path, ["skirt"])
+    config, weights = finetune_from(tmp_path, ["skirt"])
     assert config.model == replace(MOVING, dynamic=False)
     assert weights.keys() == OneFit(SMALL).state_dict().keys()
 
@@ -152,10 +152,10 @@ def test_the_command_line_fine_tunes(tiny: tuple[OneFit, Path], tmp_path: Path, 
     _, folder = tiny
 
     def with_one_partition(*asked):
-        config, weights = finetuned(*asked)
+        config, weights = finetune_from(*asked)
         return replace(config, data=replace(config.data, partitions=1)), weights
 
-    monkeypatch.setattr(run, "finetuned", with_one_partition)
+    monkeypatch.setattr(run, "finetune_from", with_one_partition)
     options = ["--finetune", str(folder), "--garment", TANK, "--beside", SHORTS, "--motions", str(MOTIONS_DIR)]
     options += ["--out", str(tmp_path / "out"), "--minutes", "0.005", "--threads", "1", "--device", "cpu"]
     options += ["--batch", "2", "--bf16"]

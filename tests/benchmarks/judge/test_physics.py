@@ -20,6 +20,7 @@ from drape.cloth.rest_state import flat_rest
 from drape.cloth.waistband import SLACK_M, STIFFNESS_N_M2
 from drape.errors import MeshError
 from drape.exact.blended_planes import BlendedPlanes
+from drape.exact.linear import Charts
 from drape.exact.newton import Cloth, Descent
 from drape.geometry import meshes
 from drape.geometry.skinning import skin_points
@@ -99,12 +100,12 @@ def test_a_waistband_holds_what_would_fall(sphere):
     rest, cloth = sheet(6, 6)
     start = rest[None] + AWAY
     top = np.flatnonzero(rest[:, 1] > rest[:, 1].max() - 1e-9)
-    held = physics.Held(top, np.full(len(top), 0.01), start[:, top])
-    hung = physics.minimise(task_of(sphere, cloth, material(), start, held=held))
+    band = physics.Waistband(top, np.full(len(top), 0.01), start[:, top])
+    hung = physics.minimise(task_of(sphere, cloth, material(), start, waistband=band))
     assert hung.converged[0]
     assert hung.energy_j[0] <= hung.start_j[0]
     way = np.linalg.norm(hung.vertices[0, top] - start[0, top], axis=1)
-    pull = STIFFNESS_N_M2 * held.length_m * np.maximum(way - SLACK_M, 0.0)
+    pull = STIFFNESS_N_M2 * band.length_m * np.maximum(way - SLACK_M, 0.0)
     assert_allclose(pull.sum(), material().gravity_m_s2 * cloth.vertex_mass(material()).sum(), rtol=0.05, atol=0.0)
 
 
@@ -259,7 +260,9 @@ def test_the_shipped_t_shirt_comes_to_rest_below_both_starts(made_of):
     cloth, of = ClothMesh.from_rest(rest, faces), material()
     if made_of is not None:
         cloth, of = ClothMesh.of(garment.rest_state(), faces, len(rest)), Material.of(fabric(made_of))
-    task = OptimumTask(cloth, of, contact, skin, (pushed, skinned), charts=physics.charts_of(garment))
+    task = OptimumTask(
+        cloth, of, contact, skin, (pushed, skinned), charts=Charts(garment.chart_patch, garment.chart_weight)
+    )
     optimum = physics.minimise(task)
     starts = [total_j(x, cloth, contact, skin, of)[0] for x in task.starts]
     assert total_j(optimum.vertices, cloth, contact, skin, of)[0] < min(starts)

@@ -100,7 +100,7 @@ def test_whatever_the_optimum_depends_on_changes_the_key():
         key(starts=(one.starts[0] + 1e-6,)),
         key(starts=(*one.starts, *one.starts)),
         key(charts=Charts(np.zeros((len(rest), 1), np.int32), np.ones((len(rest), 1)))),
-        key(held=physics.Held(np.arange(3), np.ones(3), np.zeros((2, 3, 3)))),
+        key(waistband=physics.Waistband(np.arange(3), np.ones(3), np.zeros((2, 3, 3)))),
         key(step_limit=119),
         key(tolerance=0.02),
     ]
@@ -112,6 +112,8 @@ def test_a_changed_source_changes_the_key(tmp_path, monkeypatch):
     source.write_text("STEP = 0.2\n")
     monkeypatch.setattr(physics_cache, "SOURCES", (source,))
     before = key()
+    source.write_text('"""How far."""\n\nSTEP = 0.2  # of the way\n')
+    assert key() == before
     source.write_text("STEP = 0.3\n")
     assert key() != before
 
