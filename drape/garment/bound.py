@@ -34,9 +34,9 @@ class BoundMesh:
 
     ``faces`` (F, 3), ``uv`` (T, 2), ``uv_faces`` (F, 3), ``material_names`` and ``face_material`` (F,) are as in
     ``GarmentMesh``. A vertex hangs on a triangle of the cloth: ``corner`` (D, 3), rows of the cloth's vertices;
-    ``weight`` (D, 3), barycentric; ``offset`` (D, 3) [m], along t, n x t and the normal n. ``kind`` (D,) uint8: ``ON``
-    the triangle, ``OFF`` it along the cloth's vertex normals, or ``STIFF``, off it in the triangle's own frame.
-    ``looks``: those of the materials.
+    ``weight`` (D, 3), barycentric; ``offset`` (D, 3) [m], along t, n x t and n, with the triangle's first edge t and
+    its normal n. ``kind`` (D,) uint8: ``ON`` the triangle, ``OFF`` it along the cloth's vertex normals, or ``STIFF``,
+    off it in the triangle's own frame. ``looks``: those of the materials.
     """
 
     name: str

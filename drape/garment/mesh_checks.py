@@ -58,9 +58,9 @@ class Placement:
 
 
 def check_mesh(mesh: GarmentMesh, avatar: Avatar, *, carried: bool = False) -> GarmentMesh:
-    """Returns ``mesh``, which lies on ``avatar`` in metres, y up, wound consistently with normals outward, and with
-    notes (``describe``). Vertices keep their order and number. ``carried``: bones carry the mesh rigidly, so it may be
-    smaller than cloth. Raises ``MeshError`` for a one-sided surface, and for less area than a garment has."""
+    """Returns ``mesh`` wound consistently with normals outward, and with notes (``describe``); it lies on ``avatar`` in
+    metres, y up. Vertices keep their order and number. ``carried``: bones carry the mesh rigidly, so it may be smaller
+    than cloth. Raises ``MeshError`` for a one-sided surface, and for less area than a garment has."""
     mesh = orient_outward(mesh, avatar)
     if not carried:
         check_area(mesh, "garment area")

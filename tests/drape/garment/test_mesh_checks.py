@@ -94,7 +94,7 @@ def test_unit_axis_and_floor_are_recognised(unit: str, up: str, floor: bool):
 @pytest.mark.parametrize(("option", "value"), [("unit", "yard"), ("up", "x")])
 def test_unknown_option_is_refused(option: str, value: str):
     with pytest.raises(MeshError, match=option):
-        on_avatar(CLOTH, **{option: value})
+        on_avatar(CLOTH, AVATAR, **{option: value})
 
 
 def test_garment_elsewhere_is_refused():
