@@ -40,8 +40,9 @@ POSES = (REST, ARMS_DOWN, SQUAT, STRIDE, REACH)
 
 
 def covering(vertices: np.ndarray, weights: np.ndarray, joints: np.ndarray, pose: TPose, body: BodyModel) -> np.ndarray:
-    """Returns the ``vertices`` [m] (Vb, 3) of a skin, moved out along its normals until the character in ``pose``
-    stands out of it no more, in the T-pose and in the other ``POSES``. Heads, hands and feet do not count.
+    """Returns the ``vertices`` [m] (Vb, 3) of a skin, moved out along its normals by how far the character in ``pose``
+    stands out of it, in the T-pose and in the other ``POSES``, in ``ROUNDS`` rounds. Heads, hands and feet do not
+    count.
 
     The skin has the faces of ``body``, and ``weights`` (Vb, 24) on ``joints`` [m] (24, 3), in the frame of ``pose``.
     """

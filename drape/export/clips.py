@@ -48,8 +48,8 @@ def check_name(path: Path, suffixes: Sequence[str] = SUFFIXES) -> None:
 
 
 def moving_layers(surfaces: Sequence[Surface], vertices: np.ndarray) -> list[MovingGarment]:
-    """Returns the ``surfaces`` as garments that move, each in another colour. ``vertices`` [m] (F, V, 3) are those of
-    all surfaces, one after the other."""
+    """Returns the ``surfaces`` as garments that move, in ``GARMENT_COLOURS`` in turn. ``vertices`` [m] (F, V, 3) are
+    those of all surfaces, one after the other."""
     colours = itertools.cycle(GARMENT_COLOURS)
     return list(map(MovingGarment, surfaces, by_layer(surfaces, vertices), colours))
 

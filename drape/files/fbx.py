@@ -114,4 +114,4 @@ def _read(payload: bytes, fault: Callable[[str, str, str], DrapeError], *asked: 
 def _mesh(arrays: dict[str, np.ndarray], number: int, named: dict[str, Any]) -> FbxMesh:
     names = ("vertices", "corners", "polygons", "face_material", "placed")
     own = {name: arrays[f"{number}.{name}"] for name in names}
-    return FbxMesh(**named, **own, uv=arrays.get(f"{number}.uv"))
+    return FbxMesh(name=named["name"], **own, uv=arrays.get(f"{number}.uv"), materials=named["materials"])
