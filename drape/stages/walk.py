@@ -30,9 +30,9 @@ def walk(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: N
     yield from _through(batch, rest, took)
 
 
-def by_stages(plan: Plan, inputs: Sequence[PoseInput]) -> Iterator[Batch]:
+def by_stages(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: None) -> Iterator[Batch]:
     """Yields the batch as ``walk`` does, but never in one call a frame; the bits are the same."""
-    return _through(Batch.of(plan, inputs), plan.stages, lambda name, s: None)
+    return _through(Batch.of(plan, inputs), plan.stages, took)
 
 
 def run(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: None) -> Batch:
