@@ -134,7 +134,7 @@ def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes
     joints = dict(zip(JOINT_NAMES, body.joints_template, strict=True))
     mesh, turned = round_spread_arms(mesh, openings, joints)
     stood, still = mesh.placed() + origins[chosen], (mesh.placed() == flat).all(axis=1)
-    # Beside the arms, too low, turned sleeves would touch the body less than round them.
+    # Turned sleeves are left out: beside the arms, too low, they would touch the body less than round them.
     lift = best_lift(stood, mesh.seam_pairs[still[mesh.seam_pairs].all(axis=1)], distance)
     stood = stood + np.array([0.0, lift, 0.0])
     if turned:  # threads close a sleeve round the arm that is in the middle of its cuff
@@ -242,7 +242,7 @@ def round_spread_arms(
     plane, panels, largest = mesh.placed() @ [1.0, 1.0j, 0.0], list(mesh.pattern.panels), 0.0
     for side in (limb.removesuffix("arm") for limb in openings if limb.endswith("arm")):
         cuff = np.isin(mesh.node_of_panel_vertex, openings[f"{side}arm"])
-        # Outward across an edge of a panel that runs counter-clockwise: a quarter turn to the right, seen from outside.
+        # Outward lies a quarter turn to the right of an edge, seen from outside: panels run counter-clockwise.
         ends = [(panels[mesh.panel[v[0]]], v) for v in mesh.edge_vertices.values() if cuff[v].all()]
         across = (
             p.placement.matrix()[:2, :2] @ [[0.0, 1.0], [-1.0, 0.0]] @ (mesh.rest[v[-1]] - mesh.rest[v[0]])

@@ -206,7 +206,7 @@ def _of_skirt(body: BodyMeasurements, seen: SeenGarment, settings: tuple[str, ..
         "waist_ease_m": waist.contour.length_m - body.girth_at(top),
         "hip_ease_m": hips,
         "flare_m": 0.25 * (hem.contour.length_m - body.hip_girth - max(0.0, hips or 0.0)),
-        # One that widens evenly was spread over its width; one that is wider at the hips was cut to them.
+        # A skirt that widens evenly was spread over its width; one that is wider at the hips was cut to them.
         "spread": None if hips is None or hips + body.hip_girth > (1.0 + SHAPED) * even else 1.0,
     }
 

@@ -26,8 +26,8 @@ SHRINK, GROW, SMOOTHINGS = 0.5, -0.53, 8  # of Taubin's smoothing, which keeps w
 CLOSED = "closed hole"  # the material of faces that close a hole
 LARGEST_BEND = 0.25  # most that a fair surface rises above the flattest one, over a rim's radius
 MOUTH_SHARE, POCKET_SHARE = 0.3, 0.45  # largest mouth and depth line of a bite, over a border's length
-# A pocket of a border is a bite if its line is longer than its mouth by this, and half again as much as that of an arc
-# of a round opening would be.
+# A pocket of a border is a bite if its line is longer than its mouth by the share DEEPER and ROUNDER times the share by
+# which the arc of a round opening would be.
 DEEPER, ROUNDER = 0.1, 1.5
 NARROWER = 0.2  # share of a mouth's length that counts against a bite, so that it ends where the mouth does
 LIP_VERTICES, LIP_TURN_RAD = 2, 0.4  # a border that turns by this, over as many vertices on both sides, is a lip
