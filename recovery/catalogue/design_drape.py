@@ -34,7 +34,7 @@ from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern, on_finer_me
 from recovery.progress import Say
 from recovery.sim.skin_contact import GridDistance, SignedDistance
 
-OVER_GAP_M = 0.032  # that panels over others keep from the skin while they are sewn
+OVER_GAP_M = 0.032  # distance from the skin of panels over others while they are sewn
 
 
 @dataclass(frozen=True)

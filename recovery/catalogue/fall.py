@@ -34,11 +34,11 @@ SMALLEST_GAP = 1e-9
 SOFTEST_N_PER_M = 400.0  # woven cloth is softened to this: its weight stretches it by less than 0.5 %
 HEM_M = 0.02  # turned up this far
 HEM_BENDING = 2.0  # two layers that slide on each other
-SKIN_GAP_M = 0.0075  # beyond what intake keeps garments off the skin by
-LAYERS_SHARE = 0.4  # of the mean edge: layers of cloth stay this far apart
+SKIN_GAP_M = 0.0075  # more than intake keeps garments off the skin by
+LAYERS_SHARE = 0.4  # layers of cloth stay this share of the mean edge apart
 # Share of one step's speed that the next begins with: air and yarns take the rest. Settling cloth is damped more.
 FALLING, SETTLING = 0.9, 0.5
-MOVE_SHARE = 0.6  # of the distance between layers in one step at most: two that meet must not pass each other
+MOVE_SHARE = 0.6  # longest move in a step over the distance of layers: two that meet must not pass each other
 
 
 class Near(NamedTuple):

@@ -45,8 +45,8 @@ from recovery.sim.skin_contact import SignedDistance
 Field = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 FULL = BuildOptions(coarse_steps=120)
 FROM = {"M": "M", "S": "M", "L": "M", "XL": "L"}  # the size beside each one, from which it falls
-MOVED_WITHIN_M, MOST_VERTICES = 2e-3, 400
-GROWN_WITHIN_M, MOST_CORNERS = 2e-4, 40  # of a panel
+MOVED_WITHIN_M, MOST_VERTICES = 2e-3, 400  # largest error of the moves, and most vertices that give them
+GROWN_WITHIN_M, MOST_CORNERS = 2e-4, 40  # the same for the points of each panel
 APART_M = {"space": 0.04, "panel": 0.02}  # least distance of rows that are added at once
 
 

@@ -40,8 +40,8 @@ CLEAR_STEP_M, CLEAR_LIMIT_M = 0.005, 0.6
 LEVELS_M = 0.01 * np.arange(-10, 16)  # heights that are tried beside the file's
 LEVEL_PRICE = 1e-3  # metres of depth that a metre of lift costs, so that a level that fits is left alone
 THREAD_SAMPLES = 9
-FAR_M = 0.30  # from neck and waist: the garment was drawn in other axes or for nobody's trunk
-BESIDE = 0.4  # of an opening's width, from the middle plane to its centre: half, if it touches that plane
+FAR_M = 0.30  # a garment whose top is farther from neck, chest and waist was drawn in other axes or for nobody's trunk
+BESIDE = 0.4  # least distance of an opening's centre from the middle plane over its width: 0.5 if it touches it
 STANDS_RAD = 0.35  # between sleeve and arm: threads close nearer ones round the arm as they stand
 LARGEST_TURN_RAD = 0.35  # the most that a joint turns in one step
 STEP_GRID_M = 0.02  # the body's distance between the first and the last pose need not be fine
@@ -134,7 +134,7 @@ def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes
     joints = dict(zip(JOINT_NAMES, body.joints_template, strict=True))
     mesh, turned = round_spread_arms(mesh, openings, joints)
     stood, still = mesh.placed() + origins[chosen], (mesh.placed() == flat).all(axis=1)
-    # Beside the arms, too low, turned sleeves would touch the body less than round them.
+    # Turned sleeves are left out: beside the arms, too low, they would touch the body less than round them.
     lift = best_lift(stood, mesh.seam_pairs[still[mesh.seam_pairs].all(axis=1)], distance)
     stood = stood + np.array([0.0, lift, 0.0])
     if turned:  # threads close a sleeve round the arm that is in the middle of its cuff
@@ -242,7 +242,7 @@ def round_spread_arms(
     plane, panels, largest = mesh.placed() @ [1.0, 1.0j, 0.0], list(mesh.pattern.panels), 0.0
     for side in (limb.removesuffix("arm") for limb in openings if limb.endswith("arm")):
         cuff = np.isin(mesh.node_of_panel_vertex, openings[f"{side}arm"])
-        # Outward across an edge of a panel that runs counter-clockwise: a quarter turn to the right, seen from outside.
+        # Outward lies a quarter turn to the right of an edge, seen from outside: panels run counter-clockwise.
         ends = [(panels[mesh.panel[v[0]]], v) for v in mesh.edge_vertices.values() if cuff[v].all()]
         across = (
             p.placement.matrix()[:2, :2] @ [[0.0, 1.0], [-1.0, 0.0]] @ (mesh.rest[v[-1]] - mesh.rest[v[0]])

@@ -23,10 +23,9 @@ from recovery.sim.skin_contact import SignedDistance
 SEWING_GAP_M = 0.012  # cloth is kept this far off while it is sewn: inflated clear of the body
 CLOSING_ROUNDS, CLOSED_ROUNDS, MERGED_ROUNDS = 100, 60, 60
 OPEN_SEAM_M = 0.05  # a seam that stays open by more than this has the body between its sides
-# Of nine triangles in ten. Threads are stronger than cloth, so a small garment is stretched and not open.
-MOST_STRETCH = 1.6
-CLEARLY_NEARER = 0.5  # of the distance before: no seam that is meant crosswise comes near this
-LENGTH_SLACK = 0.02  # by which the exchanged seams may fit worse
+MOST_STRETCH = 1.6  # of nine triangles in ten; threads are stronger than cloth: a small garment is stretched, not open
+CLEARLY_NEARER = 0.5  # share of the distance that an exchange leaves: no seam that is meant crosswise comes near it
+LENGTH_SLACK = 0.02  # the exchanged seams may fit worse by this
 
 
 class Sewn(NamedTuple):

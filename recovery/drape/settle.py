@@ -23,17 +23,17 @@ from recovery.sim.newton_steps import Report, equilibrium, newton_step
 from recovery.sim.skin_contact import SignedDistance, SkinContact
 
 TOLERANCE_N = 1e-5  # a node weighs about 1e-3 N
-ITERATION_LIMIT = 150  # of Newton for the drape
-PATIENT_DT_S = (0.05, 0.1, 0.2, 0.4, *[0.8] * 8)  # of the implicit steps where Newton alone does not arrive
-PATIENT_LIMIT = 60  # of Newton in one of them
-PATIENT_TOLERANCE = 10.0  # of the drape's tolerance: what such a step is solved to, and what ends them
+ITERATION_LIMIT = 150  # most steps of Newton's method for the drape
+PATIENT_DT_S = (0.05, 0.1, 0.2, 0.4, *[0.8] * 8)  # of implicit steps, where Newton's method alone does not arrive
+PATIENT_LIMIT = 60  # most steps of Newton's method in one of them
+PATIENT_TOLERANCE = 10.0  # times the drape's tolerance: such a step is solved to that, and the steps end there
 FIRST_DT_S, LAST_DT_S = 0.02, 0.3
 STEP_LIMIT = 120
 LONGEST_MOVE_M = 0.03
 # Largest distance [m] between the shapes before and after two steps at which the rest is left to Newton. Two, because
 # the linearised repulsion throws nodes off the skin in one step and drops them in the next, by about its gap, for ever.
 SETTLED_M = 1e-3
-BELT_BAND_M = 0.06  # of the topmost opening that a belt holds, from its highest node down
+BELT_BAND_M = 0.06  # a belt holds the topmost opening from its highest node down to this
 
 
 class SettledDrape(NamedTuple):

@@ -32,7 +32,7 @@ from recovery.pattern.symmetry import Symmetries, correspondence, find_symmetrie
 
 NUMBERS = 3  # a, b, c of a panel
 SEAM_WEIGHT = 3.0
-PLACE_WEIGHT = 1.0  # of a displacement over REACH_M, beside a relative change of length
+PLACE_WEIGHT = 1.0  # weight of a displacement over REACH_M; a relative change of length has 1
 REACH_M = 0.5
 PRIOR_WEIGHT = 0.03
 SHIFT_WEIGHT = 0.03

@@ -40,12 +40,12 @@ GATHERED = 0.125  # one edge of a seam longer than the other by more than this s
 EDGE_M = 0.03  # longest edges of cloth that is laid: 5 cm do not hold a gather's folds
 HANGS_LONGER = 0.0036  # ``longer`` of ``hanging``: shorter edges fold in cloth that is stiffer by their square
 SPRINGS_N_M3 = (*[1000.0] * 30, *[300.0] * 10)  # stiffness in each step that lays a garment; searches keep the last
-ACROSS = 0.05  # of the springs' stiffness acts across the way to the other surface: cloth slides along it
+ACROSS = 0.05  # share of the springs' stiffness across the way to the other surface: cloth slides along it
 STEP_S, LONGEST_M = 0.1, 0.03
 LAID_M = 2e-4  # root mean square of the moves in a step: cloth that moves less is laid
-STEPS = 12  # of one drape in a search, at most
+STEPS = 12  # most implicit steps of one drape in a search
 FREE_STEPS, FREE_LONGEST_M, FREE_KEPT = 160, 0.0075, 0.5
-STILL_M = 3e-4  # of every node in one of those steps
+STILL_M = 3e-4  # cloth is still if no node moves by more in one of those steps
 OTHER_FOLDS_MM = 3.0  # mean distance of two drapes of a pattern: of two meshes in the same folds it is below 2 mm
 
 

@@ -38,9 +38,9 @@ LARGEST_WEIGHT = 5.0
 # Barycentric points in a triangle whose mean integrates quadratics exactly.
 CORNERS = np.array([(4.0, 1.0, 1.0), (1.0, 4.0, 1.0), (1.0, 1.0, 4.0)]) / 6.0
 EVEN = 0.005  # a base whose edges differ by less has no ease there: its seams are made equal
-EXACT = 1e-10  # of a length: what Newton leaves
+EXACT = 1e-10  # largest relative error of a length that Newton's method leaves
 NEWTON_LIMIT = 30
-RANK = 1e-9  # of the largest singular value: mirrored stitches give the same equation twice
+RANK = 1e-9  # singular values below this share of the largest count as zero: mirrored stitches give an equation twice
 
 
 class Terms(NamedTuple):

@@ -30,11 +30,11 @@ from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.symmetry import FreeControls
 
 HALVINGS = 8
-BETAS = (0.9, 0.99)  # of Adam
+BETAS = (0.9, 0.99)  # Adam's decay rates of both means
 # Stands in for Adam's epsilon: a share of the largest root mean square gradient. Without it Adam moves corners that the
 # target does not determine, as along a seam in the cloth, as far as those that it does.
 FLOOR = 0.1
-DAMPING = 1e-2  # of the closing steps, as a share of the mean curvature of the loss; at the beginning
+DAMPING = 1e-2  # damping of the first closing step, as a share of the loss's mean curvature
 DAMPING_RANGE = (1e-4, 1e4)
 SAVE_EVERY = 10  # steps
 STATE_VERSION = 7

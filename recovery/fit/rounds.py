@@ -293,7 +293,7 @@ class _Rounds:
     def best_of(self, rounds: list[Round], left: str, base: Draped, graded: Graded) -> Recovered:
         """The best of ``rounds`` with all that led there."""
         best, fabric = min(rounds, key=lambda finished: finished.rank), self.options.drape.fabric
-        # The base's own note is of another cloth than the draped one; of name and weight a cutter knows the bolt.
+        # The base's own note names another cloth than the draped one. A cutter knows a bolt by name and weight.
         bolt = f"{fabric} {1e3 * best.fitted.cloth.density_kg_m2:.0f} g/m²"
         fitted = replace(best.fitted, pattern=replace(best.fitted.pattern, material=bolt))
         far = [apart_mm(squared) for squared in (rounds[0].fitted.history[0, 1], best.surface_m2, best.sewn_m2)]

@@ -23,8 +23,8 @@ from recovery.pattern.sewing_pattern import Pattern
 from recovery.progress import Say
 from recovery.sim.skin_contact import SignedDistance
 
-LENGTHS_TRIED = (1.0, 0.93, 1.07, 0.87)  # of the edge length asked for
-FINER = 0.6  # of it, tried next where a part is lost: edges of 5 cm cut through a wrist, and its sleeve slips off
+LENGTHS_TRIED = (1.0, 0.93, 1.07, 0.87)  # edge lengths of the meshes that are tried, over the one asked for
+FINER = 0.6  # the one tried next where a part is lost: edges of 5 cm cut through a wrist, and its sleeve slips off
 
 
 @dataclass(frozen=True, eq=False)

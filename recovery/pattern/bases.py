@@ -22,7 +22,7 @@ from recovery.pattern.trousers import LegCut
 from recovery.pattern.trousers import trousers as draft_trousers
 
 BETWEEN_M = 0.01  # panels of bodice and skirt start this far from each other
-LEAST_M = 0.03  # from underarm to waist, from waist to hips and from hips to hem
+LEAST_M = 0.03  # least distance from underarm to waist, from waist to hips and from hips to hem
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def draft_dress(body: BodyMeasurements, cut: DressCut) -> Design:
     return work.design(cut.name, cut.fabric, cut.ease_m)
 
 
-LONGEST_M = 3.0  # that a setting may be
+LONGEST_M = 3.0  # largest length of a setting
 POSITIVE = ("length", "depth", "girth", "inseam")  # words in the names of settings that are no differences
 OF_SLEEVE = "sleeve_"  # begins the names of a sleeve's settings
 COUNT, MOST_PANELS = "panels", 12  # the one setting that is a number of pieces

@@ -16,8 +16,8 @@ from recovery.pattern.drafting import Drafted, Point, Side, Wrap
 from recovery.pattern.pieces import CLOTH_WIDTH_M
 from recovery.pattern.sewing_pattern import EdgeRef, Panel, Pattern, Stitch
 
-SEAM_TOLERANCE = 0.02  # of the mean length; what is eased in or gathered on purpose is named
-EASE_SLACK = 0.03  # by which a named ease may be missed
+SEAM_TOLERANCE = 0.02  # share of the length by which edges may differ; what is eased or gathered on purpose is named
+EASE_SLACK = 0.03  # share of the length by which a named ease may be missed
 
 
 @dataclass(frozen=True, eq=False)

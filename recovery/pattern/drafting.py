@@ -25,8 +25,8 @@ Point = tuple[float, float]
 KINDS = (EdgeKind.LINE, EdgeKind.QUADRATIC, EdgeKind.CUBIC)
 FRONT, BACK = (0.0, 0.0, 0.0), (0.0, 180.0, 0.0)  # rotations [deg] of panels before and behind the body
 STAND_OFF_M = 0.06  # panels hang this far before and behind the body
-SLANT = 0.36  # of a fluted ring's middle surface: how far it goes outward on its way down
-UNEVEN = 0.5  # of a flute's width by which its neighbours differ from it
+SLANT = 0.36  # how far the middle surface of a fluted ring goes outward, per metre down
+UNEVEN = 0.5  # share of a flute's width by which its neighbours differ from it
 DEPTH_STEPS = 64
 Vector = tuple[float, float, float]
 

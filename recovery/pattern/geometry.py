@@ -18,8 +18,8 @@ from recovery.pattern.sewing_pattern import Edge, EdgeKind, Panel, Pattern, Stit
 
 QUADRATURE_NODES, PIECES = 64, 8
 TOUCH_M = 1e-9  # segments nearer than this meet
-SMALLEST_PANEL_M, LARGEST_PANEL_M = 0.005, 5.0  # of the longer side of a panel's box
-SMALLEST_GARMENT_M = 0.05  # of the same, of the largest panel
+SMALLEST_PANEL_M, LARGEST_PANEL_M = 0.005, 5.0  # limits of the longer side of a panel's box
+SMALLEST_GARMENT_M = 0.05  # least longer side of the largest panel's box
 
 
 class SeamLine(NamedTuple):

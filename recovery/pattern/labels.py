@@ -9,10 +9,10 @@ import numpy as np
 
 from recovery.pattern.geometry import inside
 
-HEIGHTS_M = (0.006, 0.005, 0.004, 0.003, 0.0025, 0.002, 0.0015)  # of capitals and figures
-LINE_SHARE = 1.4  # from line to line, of the height of the text
-WIDTH_SHARE = 0.85  # of a letter over the height of capitals, mean over a word of a wide face
-CLEAR_M = 0.003  # from the sewing line and the grain
+HEIGHTS_M = (0.006, 0.005, 0.004, 0.003, 0.0025, 0.002, 0.0015)  # heights of capitals and figures that are tried
+LINE_SHARE = 1.4  # distance of base lines over the height of the text
+WIDTH_SHARE = 0.85  # width of a letter over the height of capitals, the mean over a word of a wide face
+CLEAR_M = 0.003  # least distance from the sewing line and the grain
 READABLE_M = 0.003  # height of letters: lower ones are turned upright if that makes them larger
 GRID = 16  # places tried along each side of the piece's box
 

@@ -21,7 +21,7 @@ from recovery.pattern.sewing_pattern import EdgeRef, Pattern, Stitch
 from recovery.pattern.split import partners
 
 COLLAR = "collar"
-COLLAR_LEAN_M = 0.01  # by which each end of a collar's outer edge is longer: its points
+COLLAR_LEAN_M = 0.01  # each end of a collar's outer edge is longer by this: its points
 
 
 def with_collar(pattern: Pattern, width_m: float) -> Pattern:
@@ -119,7 +119,7 @@ def _start(pattern: Pattern, ref: EdgeRef) -> np.ndarray:
     return panel.placement.apply(panel.vertices[[panel.edges[ref.edge].start]])[0]
 
 
-ASIDE_M = 0.06  # of an opening's centre from the middle of the body: a limb's
+ASIDE_M = 0.06  # an opening whose centre is farther from the middle of the body is a limb's
 Corner = tuple[str, int]  # panel, and the edge that starts there
 
 

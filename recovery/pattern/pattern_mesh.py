@@ -23,10 +23,10 @@ from recovery.pattern.coordinates import Controls, boundary_matrix, control_poin
 from recovery.pattern.geometry import boundary_distance, inside
 from recovery.pattern.sewing_pattern import EdgeRef, Panel, Pattern
 
-CLEARANCE_SHARE = 0.7  # of the target edge: no lattice point nearer to the boundary
+CLEARANCE_SHARE = 0.7  # no lattice point is nearer to the boundary than this share of an edge
 ROUNDS, MOVES_PER_ROUND = 6, 2  # more rounds change the smallest angle by less than a degree
 LARGEST_LATTICE = 2_000_000
-MOST_FLIPS = 200  # of inner edges at sewn corners
+MOST_FLIPS = 200  # most flips of inner edges at sewn corners
 
 
 def triangulate(boundary: np.ndarray, edge_length_m: float) -> tuple[np.ndarray, np.ndarray]:

@@ -25,13 +25,13 @@ from recovery.pattern.drafting import (
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.tops import HOLLOWS, TopCut, bodice, lines, set_sleeves
 
-NECK_LEAN_DEG = 24.0  # of the neckline's plane: lower in front
-BUTTONS_APART_M = 0.004  # from the middle to each front
+NECK_LEAN_DEG = 24.0  # tilt of the neckline's plane, which is lower in front
+BUTTONS_APART_M = 0.004  # distance of each front from the middle
 STAND_RADIUS_M, FALL_RADIUS_M, FALL_SLANT = 0.088, 0.098, 0.75
 STAND_M, FALL_M = 0.03, 0.048  # widths
 SPREAD_M, POINT_M = 0.075, 0.022  # by which the fall's outer edge is longer than its fold, and its points are longer
-TAIL_M = 0.05  # by which the hem is lower in the middle than at the sides
-FOLD_RAD = -2.4  # of the fall over the stand, nearly flat on it; negative: away from the outside
+TAIL_M = 0.05  # the hem is lower in the middle than at the sides by this
+FOLD_RAD = -2.4  # angle of the fall over the stand, nearly flat on it; negative is away from the outside
 
 
 def shirt(body: BodyMeasurements, cut: TopCut) -> Design:

@@ -26,9 +26,9 @@ from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.sewing_pattern import PanelPlacement
 
 QUARTER = 0.5 * np.pi
-WAIST_DIPS_M = (0.012, 0.018)  # of a fitted skirt's waist in the middle, in front and behind
+WAIST_DIPS_M = (0.012, 0.018)  # how far the waist of a fitted skirt sinks in the middle, in front and behind
 WIDEST_TURN = 0.6  # [rad] of a spread panel's side, beyond which parabolas are no arcs
-GORES_DIFFER_M = 0.005  # by which half of the front's gore is wider than the mean, and the back's narrower
+GORES_DIFFER_M = 0.005  # half of the front's gore is wider than the mean by this, and half of the back's narrower
 
 
 @dataclass(frozen=True)

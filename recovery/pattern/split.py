@@ -20,10 +20,10 @@ from recovery.pattern.drafting import root
 from recovery.pattern.geometry import inside
 from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
 
-SAME = 1e-7  # of an edge's length: nearer places are one
-LEFT_M = 2e-3  # that a strip leaves of the edges beside it
+SAME = 1e-7  # places nearer than this share of an edge's length are one
+LEFT_M = 2e-3  # least length that a strip leaves of the edges beside it
 SAMPLES, FITS = 33, 6  # points of a curve that a parallel one follows, and times that their places on it are found
-JOIN_M = 5e-4  # that edges may be apart and still be one line of a joined panel
+JOIN_M = 5e-4  # largest distance of edges that become one line of a joined panel
 
 
 @dataclass(frozen=True, eq=False)

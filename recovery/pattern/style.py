@@ -27,11 +27,11 @@ from recovery.pattern.split import (
     strips,
 )
 
-WIDEST_M = 0.5  # of any part
+WIDEST_M = 0.5  # largest width of a part
 BANDS = {"waistband": "waist", "neckband": "neck", "cuffs": "cuff", "hemband": "hem"}  # and the openings they are at
 YOKES = ("yoke", "front_yoke")
 RIBS = {"rib_neck": "neck", "rib_cuffs": "cuff", "rib_hem": "hem"}
-RIB_SHORTER = {"neck": 0.12, "cuff": 0.15, "hem": 0.15}  # than what it holds
+RIB_SHORTER = {"neck": 0.12, "cuff": 0.15, "hem": 0.15}  # share by which a rib is shorter than what it holds
 PARTS = (*BANDS, *RIBS, *YOKES, COLLAR)
 
 

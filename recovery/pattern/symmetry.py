@@ -18,7 +18,7 @@ from recovery.pattern.coordinates import Controls, control_points, with_controls
 from recovery.pattern.sewing_pattern import EdgeKind, Panel, Pattern
 
 TOLERANCE_M = 0.001  # root mean square between a panel and the image of its like; front and back differ by more
-TIE_SHARE = 0.01  # of the tolerance: alignments that differ by less are told apart by the grain
+TIE_SHARE = 0.01  # alignments whose errors differ by less than this share of the tolerance are told apart by the grain
 
 
 class Kind(StrEnum):

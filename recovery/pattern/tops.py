@@ -28,8 +28,8 @@ from recovery.pattern.drafting import (
 from recovery.pattern.measurements import BodyMeasurements
 
 NECK_SLOPE = 0.6
-CAP_EASE = 0.015  # by which a cap is longer than its armhole
-NARROWEST_HEM = 0.2  # of a sleeve, as a share of its girth at the upper arm
+CAP_EASE = 0.015  # a cap is longer than its armhole by this share
+NARROWEST_HEM = 0.2  # least hem of a sleeve, as a share of its girth at the upper arm
 HOLLOWS = (0.75, 0.6)  # how far towards the shoulder the armhole runs level, in front and behind
 
 

@@ -16,8 +16,8 @@ from recovery.pattern.drafting import FRONT, Drafted, Point, Side, before_and_be
 from recovery.pattern.measurements import BodyMeasurements
 
 SHIFT_M = 0.01  # the back is wider by twice this, and so the side seam lies in the middle of the side
-EXTENSION = {"front": 0.05, "back": 0.105}  # of the crotch beyond the middle, shares of the hips
-INSET_M = {"front": 0.008, "back": 0.028}  # of the middle seam at the top
+EXTENSION = {"front": 0.05, "back": 0.105}  # how far the crotch reaches beyond the middle, as shares of the hips
+INSET_M = {"front": 0.008, "back": 0.028}  # how far the top of the middle seam lies inward
 BACK_RISE_M = 0.015  # the back's middle stands higher
 DART_SHARE = {"front": 0.15, "back": 0.35}
 DART_DEPTH_M = {"front": 0.08, "back": 0.11}

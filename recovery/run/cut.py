@@ -32,15 +32,15 @@ from recovery.run.target import OF_TOPS, OPENINGS, close_but_openings, describe_
 
 EVEN_STRETCH = 1.25  # over the median: triangles of a panel that is laid out as it was cut are stretched by less
 LAID_OUT = 0.9  # share of the cloth whose triangles are so in a layout of panels
-LEAST_PIECE = 1e-3  # of all faces
-SLEEVE_M = 0.06  # from the shoulder's joint to a cuff; an armhole lies within 3 cm of it
-DRESS_M = 0.12  # below the crotch: no shirt's hem
-COLLAR_M = 0.02  # that cloth stands above the edge of a neckline that is folded over
-STANDS_M = 0.04  # above the neck's joint: no neckline lies there
+LEAST_PIECE = 1e-3  # a panel of a texture has at least this share of all faces
+SLEEVE_M = 0.06  # a cuff is farther than this from the shoulder's joint; an armhole lies within 3 cm of it
+DRESS_M = 0.12  # a hem farther below the crotch is no shirt's
+COLLAR_M = 0.02  # cloth of a collar stands this far above the edge of a neckline that is folded over
+STANDS_M = 0.04  # no neckline lies as far above the neck's joint
 COLLARS_M = (0.02, 0.12)  # widths that are drafted: what is narrower or wider is not a collar alone
-NECK_RADIUS_M = 0.13  # from the neck's axis; no collar's fold lies farther
-AHEAD, BEHIND = 0.6, 0.2  # that a neckline falls from the sides of the neck, over the way forward and backward
-RISE_M = 0.01  # of the neckline at the sides above the neck's joint: cloth lies off the skin
+NECK_RADIUS_M = 0.13  # no collar's fold lies farther from the neck's axis
+AHEAD, BEHIND = 0.6, 0.2  # how far a neckline falls from the sides of the neck, per metre forward and backward
+RISE_M = 0.01  # height of the neckline at the sides above the neck's joint: cloth lies off the skin
 
 
 @dataclass(frozen=True, eq=False)

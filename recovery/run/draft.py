@@ -18,18 +18,18 @@ from recovery.pattern.tops import NECK_SLOPE
 from recovery.pattern.trousers import thigh_girth
 from recovery.run.cut import BodyOpening, SeenGarment
 
-SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)  # of the way from a base's own settings to what the target tells
+SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)  # ways from a base's own settings to those read off the target
 BELOW_UNDERARM_M = 0.05  # where the chest's girth is taken, clear of armholes
-SIDES = 0.95  # of the half width of a neckline: beside the neck
-OVER_CHEST_M, OVER_BACK_M = 0.05, 0.03  # that cloth is longer than it is high, over shoulder and chest or back
+SIDES = 0.95  # a neckline beyond this share of its half width lies beside the neck
+OVER_CHEST_M, OVER_BACK_M = 0.05, 0.03  # cloth is longer than it is high by this, over shoulder and chest or back
 PULLED_M = 0.02  # towards the neck, of a sleeve that hangs from the shoulder
-UNDER_ARM_M = 0.03  # that an armhole ends above its cut, lifted by the arm
-ARMS = (0.25, 0.5, 0.75)  # of the upper arm: where a sleeve's girth is taken, the first clear of the trunk
-MOST_SLEEVE = 1.8  # of the arm's girth: more is a sleeve and the trunk
+UNDER_ARM_M = 0.03  # the arm lifts the end of an armhole above its cut by this
+ARMS = (0.25, 0.5, 0.75)  # where along the upper arm a sleeve's girth is taken: the first place clear of the trunk
+MOST_SLEEVE = 1.8  # a girth of more than this times the arm's is that of sleeve and trunk
 WAISTS_M = 0.01  # between heights at which a waist is looked for
 GATHERS_M = 0.02  # half the height in which a gathered seam widens the cloth
 LEAST_GATHER = 0.12  # share by which it does so at least
-CLEAR_M = 0.08  # of a waist from underarm and hips, and of a hem from the knee
+CLEAR_M = 0.08  # least distance of a waist from underarm and hips, and of a hem from the knee
 SHAPED = 0.04  # share by which a girth between openings is off the straight line, so that the cut has a bend there
 Range = tuple[float, float]
 RANGES: dict[str, Range] = {  # that a reading may lie in; beyond it something else was read
@@ -206,7 +206,7 @@ def _of_skirt(body: BodyMeasurements, seen: SeenGarment, settings: tuple[str, ..
         "waist_ease_m": waist.contour.length_m - body.girth_at(top),
         "hip_ease_m": hips,
         "flare_m": 0.25 * (hem.contour.length_m - body.hip_girth - max(0.0, hips or 0.0)),
-        # One that widens evenly was spread over its width; one that is wider at the hips was cut to them.
+        # A skirt that widens evenly was spread over its width; one that is wider at the hips was cut to them.
         "spread": None if hips is None or hips + body.hip_girth > (1.0 + SHAPED) * even else 1.0,
     }
 

@@ -28,9 +28,9 @@ from recovery.run.identify import Identifiability, identifiability
 from recovery.run.sew_anew import SewnAndWorn, sew_and_wear
 from recovery.run.task import RecoveryJob, Task, prepare
 
-LEAST_TOLERANCE_M = 1e-3  # below a millimetre no scan tells
-FAIR_DEG = 5.0  # by which a cap may turn at a corner before it is worth a sentence
-SEARCH_SHARE = 0.7  # of the time until the best so far is taken; the rest is for sewing anew and for other bodies
+LEAST_TOLERANCE_M = 1e-3  # no scan tells less than a millimetre
+FAIR_DEG = 5.0  # a cap that turns at a corner by more is worth a sentence
+SEARCH_SHARE = 0.7  # share of the time for the search; the rest is for sewing anew and for other bodies
 
 
 class Written(NamedTuple):

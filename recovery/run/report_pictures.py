@@ -27,9 +27,9 @@ DPI = 100
 # Under the cloth the body is drawn thinner by this: flat triangles cut into it between their corners.
 THIN_M, THIN_REACH_M = 0.012, 0.05
 TARGET_COLOUR = (0.62, 0.62, 0.66)
-SPOT_COLOUR, SPOT_SHARE = (0.9, 0.1, 0.1), 0.04  # of the scan's extent: a fault is shown as large as this
-SCALE_SHARE = 0.98  # of the vertices lie within the colour scale
-EDGE_SHARE = 0.14  # of a garment's extent, which is left free round it
+SPOT_COLOUR, SPOT_SHARE = (0.9, 0.1, 0.1), 0.04  # the mark of a fault, and its size over the scan's extent
+SCALE_SHARE = 0.98  # share of the vertices that lie within the colour scale
+EDGE_SHARE = 0.14  # share of a garment's extent that is left free round it
 VIEWS = (("front", 0.0), ("side", 70.0), ("back", 180.0))
 
 

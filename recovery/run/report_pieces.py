@@ -31,8 +31,8 @@ from recovery.pattern.pieces import (
 from recovery.pattern.sewing_pattern import EdgeRef, Panel, Pattern
 
 EQUAL_MM = 0.05  # below: both edges are equally long, as far as a ruler shows
-PAGE_MM = 180.0  # of the drawing on paper
-# Of the drawing on the page; every rule stays inside it.
+PAGE_MM = 180.0  # width of the drawing on paper
+# Style of the drawing on the page; every rule stays inside it.
 STYLE = (
     ".pieces path,.pieces line,.pieces rect{{fill:none;stroke:#000;stroke-width:1px;vector-effect:non-scaling-stroke}}"
     ".pieces .cut{{fill:#f6f6f2}}.pieces .sew{{stroke:#06c;stroke-dasharray:4 2}}.pieces .grain{{stroke:#999}}"

@@ -18,10 +18,10 @@ from recovery.run.job import Outcome
 from recovery.run.report_pieces import ReportPage, add_pieces
 from recovery.run.sew_anew import ANEW_MM, anew_words, describe_worn
 
-SEAM_PCT = 0.5  # of length, beside the ease that the base asks for: more cannot be sewn as it is drawn
+SEAM_PCT = 0.5  # of length: edges that differ by more, beside their ease, cannot be sewn as they are drawn
 GOOD_RMS_MM, FAIR_RMS_MM = 2.0, 8.0
 UNSURE_M = 0.01
-CUT_PCT = 15.0  # of edges with their middle in the body; a T-shirt has 6 to 12 at edges of 5 cm, and none of it shows
+CUT_PCT = 15.0  # edges with their middle in the body; a T-shirt has 6 to 12 % at edges of 5 cm, and none of it shows
 FAR_SHARE = 5.0  # the largest distance over the root mean square that is worth a sentence
 
 

@@ -51,12 +51,12 @@ from recovery.sim.skin_contact import SkinContact, check_closed
 # plain, and below KEPT the garment is not turned. Of 14 garments the right way fits better by 1.26 to 7.8, one by 0.96.
 KEPT, UNSURE = 1.1, 1.1
 Front = Literal["auto", "kept", "turned"]
-CUFF_SHARE = 0.12  # of the longest opening: cuffs have a fifth of a hem, and holes that were not closed less
-TURNED_RAD = 0.6  # that a garment may look aside; the body's fit finds that by itself
+CUFF_SHARE = 0.12  # least length over that of the longest opening: cuffs have 0.2, and holes that were not closed less
+TURNED_RAD = 0.6  # a garment may look aside by this: the body's fit finds that by itself
 FAR_M = 0.12  # median distance from the skin: the loosest garment hangs nearer
 DEEP_M, DEEP_SHARE = 0.02, 0.2  # the target goes through the body where more than this share lies deeper than that
-LYING_SHARE = 0.05  # of the cloth, nearest to the skin, lies on it
-LEAST_OFF_M, MOST_OFF_M = 0.001, 0.006  # beyond our own gap: less is the same, more is a garment that lies nowhere
+LYING_SHARE = 0.05  # share of the cloth, that nearest to the skin, which lies on it
+LEAST_OFF_M, MOST_OFF_M = 0.001, 0.006  # limits beyond our own gap: less is the same, and cloth with more lies nowhere
 # Openings round each part of the body, by base.
 OF_TOPS = {TRUNK: 2, "left_arm": 1, "right_arm": 1}
 OF_TUBES = {TRUNK: 2}

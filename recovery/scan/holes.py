@@ -24,12 +24,12 @@ from recovery import progress
 NOISE = 0.2  # a mesh of more ``roughness`` than this is noisy; scans without noise have up to 0.17
 SHRINK, GROW, SMOOTHINGS = 0.5, -0.53, 8  # of Taubin's smoothing, which keeps what is larger than a few edges
 CLOSED = "closed hole"  # the material of faces that close a hole
-LARGEST_BEND = 0.25  # of a rim's radius that a fair surface may rise above the flattest one
-MOUTH_SHARE, POCKET_SHARE = 0.3, 0.45  # of a border's length: mouth and depth line of a bite, at most
-# A pocket of a border is a bite if its line is longer than its mouth by this, and half again as much as that of an arc
-# of a round opening would be.
+LARGEST_BEND = 0.25  # most that a fair surface rises above the flattest one, over a rim's radius
+MOUTH_SHARE, POCKET_SHARE = 0.3, 0.45  # largest mouth and depth line of a bite, over a border's length
+# A pocket of a border is a bite if its line is longer than its mouth by the share DEEPER and ROUNDER times the share by
+# which the arc of a round opening would be.
 DEEPER, ROUNDER = 0.1, 1.5
-NARROWER = 0.2  # of a mouth's length counts against a bite, so that it ends where the mouth does
+NARROWER = 0.2  # share of a mouth's length that counts against a bite, so that it ends where the mouth does
 LIP_VERTICES, LIP_TURN_RAD = 2, 0.4  # a border that turns by this, over as many vertices on both sides, is a lip
 CALMINGS = 16  # most of Taubin's smoothings of a border that is searched for bites
 LARGEST_LOOP = 4000  # vertices of a border that are searched for bites

@@ -33,19 +33,19 @@ from recovery.scan.holes import GROW, NOISE, SHRINK, SMOOTHINGS, close_holes
 
 SCAN_VERTEX_LIMIT = 3_300_000  # 1,000,000 triangles of an STL, which does not share vertices
 EXTENTS = (1e-3, 1e6)  # in a file's unit, whatever it is: squares and cubes stay far from the ends of the numbers
-OPEN_SHARE = 0.7  # of the height: no hem and no neckline, however deep, goes that far
-TWISTED_SHARE = 0.02  # of the faces: more edges to be cut, and the scan is no cloth
+OPEN_SHARE = 0.7  # no hem and no neckline, however deep, goes over more of the height
+TWISTED_SHARE = 0.02  # a scan that has to be cut at more edges than this share of its faces is no cloth
 ACROSS = 0.5  # cosine between an opening's axis and the normals of a hem that is turned in; a cuff's cloth has 0.2
 SMOOTH = 0.7  # cosine between neighbours of one strip: a fold is sharper
-WIDE_SHARE = 0.06  # of the root of the area: no hem is as wide, and the cloth about a hole is wider
-ALL_ROUND = 0.9  # of an edge that the strip has
+WIDE_SHARE = 0.06  # width over the root of the area: no hem is as wide, and the cloth about a hole is wider
+ALL_ROUND = 0.9  # share of an edge's vertices that the strip of a hem has at least
 LEVELS = 16  # distances from the openings at which pieces are looked at
-LEAST_SHARE = 0.01  # of the area that a bag has
-BAG = 0.3  # of a circle's border squared over its area: a hemisphere has 0.5, a hand with its wrist 0.1
+LEAST_SHARE = 0.01  # least share of the area that a bag has
+BAG = 0.3  # most of a border squared over its area, as a circle has 1: a hemisphere has 0.5, a hand with its wrist 0.1
 # A target of more faces is thinned out to so many: 8 mm between vertices of a shirt; the search has edges of 17 to 50.
 FACE_LIMIT, FACE_GOAL = 60_000, 30_000
-ENOUGH = 0.7  # of the goal
-ROUNDS = 2  # of Lloyd's: seeds go to the middles of their cells
+ENOUGH = 0.7  # share of the goal that is near enough
+ROUNDS = 2  # rounds of Lloyd's method: seeds go to the middles of their cells
 
 
 def read_target(path: Path, *, label: str | None = None) -> GarmentMesh:
@@ -170,7 +170,7 @@ def orient_faces(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def without_turned_hems(mesh: GarmentMesh) -> GarmentMesh:
-    """Returns ``mesh`` without hems that are turned in, cut off at their folds. Its faces agree in orientation."""
+    """Returns ``mesh``, whose faces agree in orientation, without hems that are turned in: cut off at their folds."""
     normals = meshes.face_normals(mesh.vertices, mesh.faces)
     pairs = np.stack(meshes.edge_pairs(mesh.faces)[1:]) // 3
     pairs = pairs[:, (normals[pairs[0]] * normals[pairs[1]]).sum(axis=1) > SMOOTH]

@@ -23,7 +23,7 @@ from drape.cloth.membrane import RestTriangles, rest_triangles
 from drape.errors import InputError, MeshError
 from drape.geometry import meshes
 
-SMALLEST_PANEL_SHARE = 1e-9  # of the mean rest triangle
+SMALLEST_PANEL_SHARE = 1e-9  # least area of a rest triangle over the mean
 
 
 class StaticAssembly:
