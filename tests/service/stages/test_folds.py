@@ -160,7 +160,7 @@ def test_nobody_presses_a_hidden_garment_below_the_folds_of_what_is_over_it(
     seen, hidden = (
         runtime.plan(scene, DrapeOptions(advanced=Advanced(folds=1), hidden=one)) for one in (None, ("tube",))
     )
-    monkeypatch.setattr(folds_stage, "pressed", lambda x, *_: pressed.append(len(x)) or x)
+    monkeypatch.setattr(folds_stage, "press", lambda x, *_: pressed.append(len(x)) or x)
     inner = scene.layers[0].vertex_count
     both, outer = run(seen, [CLIP]), run(hidden, [CLIP])
     assert_array_equal(outer.vertices, both.vertices[:, inner:])
