@@ -273,9 +273,9 @@ def test_a_garment_that_takes_long_to_make_ready_does_not_end_its_stream(make_se
     async def talk(socket: ClientConnection) -> int:
         await opened(socket)
         await send(socket, 1)
-        message = await asyncio.wait_for(socket.recv(), 10.0)
+        first = await frame(socket, ack=False)
         await socket.send(json.dumps(OPEN))
-        await socket.send(wire.pack_ack(wire.unpack_frame(message).sequence))
+        await socket.send(wire.pack_ack(first.sequence))
         assert json.loads(await asyncio.wait_for(socket.recv(), 10.0))["type"] == "opened"
         await send(socket, 2)
         return (await frame(socket)).sequence
