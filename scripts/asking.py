@@ -14,11 +14,15 @@ OPENER = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 
 def answer(port: int, path: str, body: bytes | None = None, kind: str = "application/json") -> bytes:
-    """What the service answers; nothing while it does not listen or is not ready."""
+    """Returns the body of the answer of the service on ``port``: to GET ``path``, or to POST with a ``body`` of the
+    media type ``kind``. Empty while no service listens there or it is not ready (503).
+
+    Raises ``HTTPError`` for any other error status.
+    """
     request = urllib.request.Request(f"http://127.0.0.1:{port}{path}", body, {"Content-Type": kind})
     try:
-        with OPENER.open(request, timeout=30) as found:
-            return found.read()
+        with OPENER.open(request, timeout=30) as response:
+            return response.read()
     except urllib.error.HTTPError as error:
         if error.code != 503:
             raise
@@ -28,7 +32,7 @@ def answer(port: int, path: str, body: bytes | None = None, kind: str = "applica
 
 
 def drape(port: int) -> int:
-    """Asserts that a shirt is draped and that the page is there; the number of vertices."""
+    """Asserts that the service on ``port`` has the page and drapes a shirt. Returns the shirt's number of vertices."""
     assert b"<script" in answer(port, "/"), "the page"
     places = array.array("f", answer(port, "/drape", json.dumps(ASKED).encode()))
     assert len(places) > 3000 and all(map(math.isfinite, places)), "a draped shirt"

@@ -18,13 +18,14 @@ SECONDS = 120.0
 
 
 def vulnerabilities(report: dict[str, Any]) -> tuple[int, list[str]]:
-    """How many packages of pip-audit's ``report`` were audited, and a line per vulnerability."""
-    audited = [one for one in report["dependencies"] if "vulns" in one]
+    """Returns how many packages of pip-audit's ``report`` were audited, and a line of text for each known
+    vulnerability: package, version, id and the releases that mend it."""
+    audited = [package for package in report["dependencies"] if "vulns" in package]
     lines = []
-    for one in audited:
-        for found in one["vulns"]:
-            mended = ", ".join(found["fix_versions"]) or "no release yet"
-            lines.append(f"{one['name']} {one['version']}: {found['id']}, mended in {mended}")
+    for package in audited:
+        for fault in package["vulns"]:
+            mended = ", ".join(fault["fix_versions"]) or "no release yet"
+            lines.append(f"{package['name']} {package['version']}: {fault['id']}, mended in {mended}")
     return len(audited), lines
 
 

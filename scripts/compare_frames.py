@@ -39,32 +39,33 @@ STREAM_POSES = 30
 
 @contextmanager
 def service() -> Iterator[str]:
-    """The address of the service of this folder, on a free loopback port."""
+    """Runs the service of the working directory while the block runs. Yields its address, on a free loopback port."""
     root = Path.cwd()
     environment = os.environ | {"PYTHONPATH": str(root), "DRAPE_GARMENTS_DIR": str(root / "runs/no-such-folder")}
     command = [sys.executable, "-m", "service", "--host", "127.0.0.1", "--port", "0"]
     process = subprocess.Popen(command, cwd=root, env=environment, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
-        said = process.stdout.readline()
-        found = re.search(r"http://\S+", said)
-        if found is None:
-            raise SystemExit(f"the service did not start: {said or 'see above'}")
-        yield found.group()
+        line = process.stdout.readline()
+        address = re.search(r"http://\S+", line)
+        if address is None:
+            raise SystemExit(f"the service did not start: {line or 'see above'}")
+        yield address.group()
     finally:
         process.terminate()
         process.wait(timeout=30)
 
 
 def clip(http: httpx.Client, name: str, start: int, frames: int) -> dict[str, Any]:
-    """A piece of a sample clip as a request holds it."""
-    found = http.get(f"/motions/{name}").raise_for_status().json()
+    """Returns ``frames`` frames of the sample clip ``name``, from the frame ``start`` on, as fields of a request to
+    POST /drape: ``fps``, ``poses`` [rad] (frames, 24, 3) and ``trans`` [m] (frames, 3)."""
+    motion = http.get(f"/motions/{name}").raise_for_status().json()
     rows = slice(start, start + frames)
-    return {"fps": found["fps"], "poses": found["poses"][rows], "trans": found["trans"][rows]}
+    return {"fps": motion["fps"], "poses": motion["poses"][rows], "trans": motion["trans"][rows]}
 
 
 def requests(http: httpx.Client) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Every clip that is asked for, with a name."""
+    """Yields the compared requests to POST /drape: a name, and the JSON document of the request."""
     walk, turn, squat = (clip(http, name, 20, 10) for name in ("walk", "turn", "squat"))
     for garment in [item["id"] for item in http.get("/garments").json()]:
         for name, piece in (("walk", walk), ("turn", turn), ("squat", squat)):
@@ -84,7 +85,8 @@ def requests(http: httpx.Client) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def blanked(message: bytes) -> np.ndarray:
-    """The bytes of a FRAME or JETS message without what is a clock's."""
+    """Returns the bytes of a FRAME or JETS message, uint8 (N,), with its clock and the time of its computing set to
+    zero, as these differ from run to run."""
     raw = np.frombuffer(message, np.uint8).copy()
     for start, stop in CLOCKS[message[5]]:
         raw[start:stop] = 0
@@ -92,27 +94,37 @@ def blanked(message: bytes) -> np.ndarray:
 
 
 def jets_messages(content: bytes, patches: int) -> np.ndarray:
-    """The messages (F, bytes) of an answer in jets."""
+    """Returns the F JETS messages of ``patches`` patches that follow each other in ``content``, as ``blanked`` does:
+    uint8 (F, N)."""
     size = 460 + 77 * patches
     size += -size % 4
     return np.stack([blanked(content[at : at + size]) for at in range(0, len(content), size)])
 
 
-def post_drape(http: httpx.Client, asked: dict[str, Any]) -> dict[str, np.ndarray]:
-    """What ``POST /drape`` answers: vertices or messages, and the numbers in its headers."""
-    answer = http.post("/drape", json=asked)
+def post_drape(http: httpx.Client, request: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Returns the answer of POST /drape to ``request``.
+
+    ``frames`` are world vertices [m] (F, V, 3) float32, or blanked JETS messages (F, N) uint8 where the request asks
+    for jets. ``headers`` (H,) are the numbers of those ``KEPT_HEADERS`` that the answer has.
+    """
+    answer = http.post("/drape", json=request)
     if not answer.is_success:
         raise SystemExit(f"{answer.status_code}: {answer.text}")
     numbers = [float(answer.headers[name]) for name in KEPT_HEADERS if name in answer.headers]
-    if asked.get("geometry") == "jets":
+    if request.get("geometry") == "jets":
         frames = jets_messages(answer.content, int(answer.headers["X-Drape-Patches"]))
     else:
-        frames = np.frombuffer(answer.content, "<f4").reshape(len(asked["poses"]), -1, 3)
+        frames = np.frombuffer(answer.content, "<f4").reshape(len(request["poses"]), -1, 3)
     return {"frames": frames, "headers": np.array(numbers)}
 
 
 async def stream_frames(url: str, opening: dict[str, Any], poses: np.ndarray, trans: np.ndarray) -> list[np.ndarray]:
-    """The frames of one stream, a pose at a time; half-way it is opened again with less motion."""
+    """Returns the blanked message (N,) uint8 of each frame of a stream that sends ``poses`` [rad] (F, 24, 3) and
+    ``trans`` [m] (F, 3) one after the other.
+
+    ``url`` is the service's address, ``opening`` the stream's first message. Half-way the stream is opened again with
+    half the motion.
+    """
     frames = []
     address = url.replace("http", "ws", 1) + "/stream"
     async with connect(address, subprotocols=[Subprotocol("drape.v1")], compression=None, max_size=None) as socket:
@@ -135,8 +147,8 @@ async def stream_frames(url: str, opening: dict[str, Any], poses: np.ndarray, tr
 def dump(path: Path) -> None:
     arrays: dict[str, np.ndarray] = {}
     with service() as url, httpx.Client(base_url=url, timeout=300.0) as http:
-        for name, asked in requests(http):
-            arrays |= {f"{name}: {part}": array for part, array in post_drape(http, asked).items()}
+        for name, request in requests(http):
+            arrays |= {f"{name}: {part}": array for part, array in post_drape(http, request).items()}
         walk = clip(http, "walk", 40, STREAM_POSES)
         poses, trans = np.array(walk["poses"]), np.array(walk["trans"])
         body = http.get("/bodies").json()[0]["id"]
@@ -155,7 +167,8 @@ def dump(path: Path) -> None:
 
 
 def compare(old: Path, new: Path) -> int:
-    """Prints how the two dumps differ; 1 where any array does."""
+    """Prints how each array of the files ``old`` and ``new`` of ``dump`` differs. Returns 1 if any array differs, else
+    0."""
     with np.load(old) as first, np.load(new) as second:
         names = sorted({*first.files, *second.files})
         differs = 0

@@ -21,7 +21,7 @@ FRAMES = 90  # until folds have come to rest
 PLACE = """(() => {
   const bottom = innerHeight - document.getElementById("dock").getBoundingClientRect().top + 12;
   const [top, width] = [40, document.getElementById("shelf").getBoundingClientRect().left];
-  for (const one of document.querySelectorAll("#head, #tools, #dock, #notes, #shelf")) one.style.visibility = "hidden";
+  for (const it of document.querySelectorAll("#head, #tools, #dock, #notes, #shelf")) it.style.visibility = "hidden";
   document.documentElement.style.background = document.body.style.background = "none";
   const height = innerHeight - top - bottom;
   const side = (1.2 / (1.09 * 1.83)) * height; // as wide as 1.2 m, as high as 1.09 of 1.83 m
@@ -30,7 +30,7 @@ PLACE = """(() => {
 
 
 def main(service: str) -> None:
-    """Command line entry; ``service`` is its address."""
+    """Writes the picture of the page of the service at the address ``service`` to ``TARGET``."""
     with open_page("about:blank") as page:
         page.call("Emulation.setDeviceMetricsOverride", width=1350, height=975, deviceScaleFactor=1, mobile=False)
         page.media(scheme="light", reduced_motion=True)
@@ -38,8 +38,8 @@ def main(service: str) -> None:
         page.wait_for(f"Number(document.body?.dataset.frames) >= {FRAMES}")
         clip = page.evaluate(PLACE)
         page.call("Emulation.setDefaultBackgroundColorOverride", color={"r": 0, "g": 0, "b": 0, "a": 0})
-        taken = page.call("Page.captureScreenshot", format="webp", quality=QUALITY, clip=clip)
-    TARGET.write_bytes(base64.b64decode(taken["data"]))
+        picture = page.call("Page.captureScreenshot", format="webp", quality=QUALITY, clip=clip)
+    TARGET.write_bytes(base64.b64decode(picture["data"]))
     print(f"{TARGET.relative_to(ROOT)}: {clip['width']} x {clip['height']} pixels, {TARGET.stat().st_size} bytes")
 
 

@@ -26,7 +26,8 @@ READERS = {"clients/web/": "tests/clients", "docs/": "tests/architecture", "depl
 
 
 def changed_files(base: str | None) -> list[str]:
-    """Paths that differ from ``base``, with those that git does not know yet."""
+    """Returns the paths, relative to the root, of files that differ from the commit ``base`` and of new files that git
+    does not track yet. Where ``base`` is None it is HEAD, or the commit before where nothing differs from HEAD."""
     new = _git("ls-files", "--others", "--exclude-standard")
     if base is not None:
         return [*_git("diff", "--name-only", base), *new]
@@ -38,7 +39,8 @@ def _git(*command: str) -> list[str]:
 
 
 def module_of(path: str) -> str | None:
-    """The module that the file ``path`` is; None where it is none."""
+    """Returns the dotted name of the Python module in the file ``path``; of a source of the engine, the module that
+    calls it; of any other file None."""
     if path.startswith(ENGINE):
         return ENGINE_MODULE
     if not path.endswith(".py"):
@@ -47,19 +49,21 @@ def module_of(path: str) -> str | None:
 
 
 def import_distances(graph: grimp.ImportGraph, modules: Iterable[str]) -> dict[str, int]:
-    """How many imports lie between each module that reaches one of ``modules`` and that one."""
+    """Returns, for each module of ``graph`` that imports one of ``modules`` directly or through others, the number of
+    imports in the shortest chain to any of them; 0 for ``modules`` themselves."""
     steps = {module: 0 for module in modules if module in graph.modules}
     last, far = set(steps), 0
     while last:
         far += 1
-        last = {one for module in last for one in graph.find_modules_that_directly_import(module)} - steps.keys()
+        last = {user for module in last for user in graph.find_modules_that_directly_import(module)} - steps.keys()
         steps |= dict.fromkeys(last, far)
     return steps
 
 
 @cache
 def imports_of(path: Path) -> frozenset[str]:
-    """The modules that the test file ``path`` imports, itself or through what lies beside it in tests/."""
+    """Returns the names of the modules that the test file ``path`` imports, directly or through modules of tests/. A
+    name that is imported from a module counts as a module too."""
     modules: set[str] = set()
     for module in _imported(ast.parse(path.read_text(encoding="utf-8"))):
         modules.add(module)
@@ -79,7 +83,8 @@ def _imported(tree: ast.AST) -> Iterator[str]:
 
 
 def reached_tests(changed: list[str]) -> list[str]:
-    """Test files that ``changed`` files reach, the nearest first."""
+    """Returns the paths of the test files that a change of the files ``changed`` may break, the nearest first: by
+    imports, by the name of the file, or by the folders of ``READERS``."""
     modules = {module for path in changed if (module := module_of(path))}
     far = import_distances(grimp.build_graph(*PACKAGES), modules)
     stems = {Path(path).stem for path in changed}
@@ -94,17 +99,17 @@ def reached_tests(changed: list[str]) -> list[str]:
         if test.stem.removeprefix("test_") in stems or any(path.startswith(folder + "/") for folder in folders):
             near.append(0.5)
         if near:
-            rank[path] = min(near), -max(_shared(path.removeprefix("tests/"), each) for each in changed)
+            rank[path] = min(near), -max(_shared(path.removeprefix("tests/"), other) for other in changed)
     return sorted(rank, key=rank.__getitem__)
 
 
 def _shared(path: str, other: str) -> int:
-    """How many folders from the root on two paths have in common."""
+    """Returns how many leading parts two paths have in common."""
     return len(list(takewhile(lambda pair: pair[0] == pair[1], zip(Path(path).parts, Path(other).parts, strict=False))))
 
 
 def main() -> None:
-    """Prints the files, one a line."""
+    """Prints the test files that the changed files reach, one a line; the first argument is the commit BASE."""
     print(*reached_tests(changed_files(sys.argv[1] if len(sys.argv) > 1 else None)), sep="\n")
 
 

@@ -1,8 +1,8 @@
-"""``python scripts/release.py`` fills dist/ with what a release has of Python.
+"""``python scripts/release.py`` fills dist/ with the Python packages of a release.
 
-That is an sdist of every member, the core's wheel for every system, and a wheel of each other member. ``--image`` makes
-no more than an image of this system takes: the core's wheel for it, and the service's. The page must have been built
-(``make page``).
+A member is a folder with a pyproject.toml of its own. Each has an sdist and a wheel; the core has a wheel for every
+system. ``--image`` makes only what an image of this system takes: the core's wheel for it, and the service's. The page
+must have been built (``make page``).
 
 The wheels of other systems come from the same compiler; ``scripts/try_wheels.py`` installs this system's and looks into
 the others.
@@ -28,7 +28,8 @@ PAGES = ROOT / "service" / "pages"
 
 
 def build_member(folder: str, *arguments: str, system: str = "") -> None:
-    """Packs the member in ``folder`` into dist/, where asked for ``system``."""
+    """Writes the sdist and the wheel of the member in ``folder`` to dist/, or what ``arguments`` of ``python -m build``
+    say. The engine in the core's wheel is that for ``system``."""
     command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(DIST), *arguments, folder]
     subprocess.run(command, cwd=ROOT, env=os.environ | {"DRAPE_SYSTEM": system}, check=True, stdout=subprocess.DEVNULL)
 
@@ -43,7 +44,8 @@ def put_pages() -> None:
 
 
 def pack_members(members: tuple[str, ...]) -> None:
-    """Packs ``members`` other than the core, each with the licence, the service with its pages."""
+    """Writes the sdists and wheels of ``members``, which are folders other than the core, to dist/: each with the
+    licence, the service with its pages too."""
     licences = [ROOT / member / "LICENSE" for member in members]
     try:
         put_pages()
@@ -58,7 +60,7 @@ def pack_members(members: tuple[str, ...]) -> None:
 
 
 def main() -> None:
-    """The command."""
+    """Empties dist/ and writes the packages that the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--image", action="store_true", help="only the wheels that an image of this system takes")
     for_image = parser.parse_args().image

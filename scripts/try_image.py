@@ -27,16 +27,18 @@ CAREFUL = ("--read-only", "--cap-drop=ALL", "--security-opt=no-new-privileges", 
 BINARY = "application/octet-stream"
 
 
-def told(containers: str, *words: str) -> str:
-    """What the command of the ``containers`` says; it must succeed."""
-    done = subprocess.run([containers, *words], capture_output=True, text=True)
-    assert done.returncode == 0, f"{' '.join(words)}: {done.stdout}{done.stderr}"
-    return done.stdout.strip()
+def run_command(containers: str, *words: str) -> str:
+    """Returns what the command ``containers`` (podman or docker) prints for the arguments ``words``. Asserts that it
+    succeeds."""
+    run = subprocess.run([containers, *words], capture_output=True, text=True)
+    assert run.returncode == 0, f"{' '.join(words)}: {run.stdout}{run.stderr}"
+    return run.stdout.strip()
 
 
 @contextmanager
 def run_container(ask: partial[str], image: str, isa: str = "") -> Iterator[float]:
-    """A container with the engine for ``isa``; yields after how many seconds it was ready."""
+    """Runs a container of ``image`` while the block runs, with the engine for ``isa``. Yields the seconds [s] that it
+    took to be ready. ``ask`` is ``run_command`` of podman or docker, here and below."""
     begin = time.monotonic()
     options = ("--detach", f"--name={NAME}", f"--publish=127.0.0.1:{PORT}:8000", f"--volume={VOLUME}:/data", *CAREFUL)
     ask("run", *options, "--env=DRAPE_OPEN=true", *([f"--env=DRAPE_ISA={isa}"] if isa else []), image)
@@ -58,7 +60,7 @@ def look_at(ask: partial[str], image: str) -> None:
 
 
 def send_a_garment() -> str:
-    """The id that the service gives to a garment that is sent to it: the shipped shirt, as a file of OBJ."""
+    """Uploads the shipped shirt as an OBJ file to the service, and returns the id of the garment that comes of it."""
     mesh = json.loads(answer(PORT, "/garments/tshirt/mesh"))
     lines = [f"v {x} {y} {z}" for x, y, z in mesh["vertices"]]
     lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh["faces"]]
@@ -81,7 +83,7 @@ def check_health(ask: partial[str], image: str) -> None:
 
 
 def end(ask: partial[str]) -> float:
-    """Asserts that SIGTERM ends it in good order; the seconds that this takes."""
+    """Asserts that SIGTERM ends the container in good order and in time. Returns how long that takes [s]."""
     begin = time.monotonic()
     ask("stop", "--time=20", NAME)
     took = time.monotonic() - begin
@@ -92,12 +94,12 @@ def end(ask: partial[str]) -> float:
 
 
 def main() -> None:
-    """The command."""
+    """Tries the image that the command line names, and prints how large it is and how long it takes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("image")
     parser.add_argument("--containers", default="podman", metavar="COMMAND", help="podman (the default) or docker")
-    given = parser.parse_args()
-    ask, image = partial(told, given.containers), given.image
+    options = parser.parse_args()
+    ask, image = partial(run_command, options.containers), options.image
     look_at(ask, image)
     ask("volume", "create", VOLUME)
     try:
@@ -107,7 +109,7 @@ def main() -> None:
             garment = send_a_garment()
             print(f"image: ended {end(ask):.1f} s after SIGTERM (target {END_LIMIT_S:g})", flush=True)
         with run_container(ask, image, OLDER) as ready_s:
-            kept = [one["id"] for one in json.loads(answer(PORT, "/garments"))]
+            kept = [entry["id"] for entry in json.loads(answer(PORT, "/garments"))]
             assert garment in kept, f"{garment} is not among {kept}"
             print(f"image: an older processor: ready after {ready_s:.1f} s, {drape(PORT)} vertices, {garment} kept")
     finally:

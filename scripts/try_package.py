@@ -17,7 +17,6 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -43,32 +42,33 @@ LAYOUT = """export default function Layout({ children }) {
 
 
 def script_tag(folder: Path) -> Path:
-    """The page without a bundler: its scripts are the tarball's own files."""
+    """Writes a page without a bundler, whose scripts are the tarball's own files, to the application in ``folder``.
+    Returns the folder to serve, as the builds below do."""
     words = f'<script type="importmap">{json.dumps({"imports": IMPORTS})}</script>'
     return with_page(folder, f'{words}<script type="module" src="./shirt.js"></script>')
 
 
 def vite(folder: Path) -> Path:
-    """The page built by Vite, without a configuration."""
+    """Builds the application in ``folder`` by Vite without a configuration. Returns the folder to serve."""
     with_page(folder, '<script type="module" src="./shirt.js"></script>')
-    ran(["npx", "vite", "build", "--logLevel=warn"], folder)
+    run_command(["npx", "vite", "build", "--logLevel=warn"], folder)
     return folder / "dist"
 
 
 def webpack(folder: Path) -> Path:
-    """The page built by webpack, without a configuration."""
-    ran(["npx", "webpack", "./shirt.js", "--mode=production", "--output-path=dist"], folder)
+    """Builds the application in ``folder`` by webpack without a configuration. Returns the folder to serve."""
+    run_command(["npx", "webpack", "./shirt.js", "--mode=production", "--output-path=dist"], folder)
     (folder / "dist/index.html").write_text(PAGE.format('<script src="main.js"></script>'))
     return folder / "dist"
 
 
 def next_js(folder: Path) -> Path:
-    """The page built by Next, exported as files."""
+    """Builds the application in ``folder`` by Next and exports it as files. Returns the folder to serve."""
     (folder / "app").mkdir()
     shutil.copy(EXAMPLES / "shirt.jsx", folder / "app/page.jsx")
     (folder / "app/layout.jsx").write_text(LAYOUT)
     (folder / "next.config.mjs").write_text('export default { output: "export" };\n')
-    ran(["npx", "next", "build"], folder)
+    run_command(["npx", "next", "build"], folder)
     return folder / "out"
 
 
@@ -81,40 +81,39 @@ BUNDLERS = {
 
 
 def with_page(folder: Path, scripts: str) -> Path:
-    """``folder``, with an index that has ``scripts``."""
+    """Writes an index.html with the tags ``scripts`` into ``folder``, and returns ``folder``."""
     (folder / "index.html").write_text(PAGE.format(scripts))
     return folder
 
 
-def ran(words: list[str], folder: Path) -> str:
-    """What a command prints; it must succeed."""
-    done = subprocess.run(words, cwd=folder, capture_output=True, text=True)
-    if done.returncode:
-        raise SystemExit(f"{' '.join(words)}\n{done.stdout[-3000:]}{done.stderr[-3000:]}")
-    return done.stdout
-
-
-class Files(SimpleHTTPRequestHandler):
-    def log_message(self, format: str, *args: object) -> None:
-        """Says nothing."""
+def run_command(words: list[str], folder: Path) -> str:
+    """Returns what the command ``words`` prints in ``folder``. Ends this program if it fails."""
+    run = subprocess.run(words, cwd=folder, capture_output=True, text=True)
+    if run.returncode:
+        raise SystemExit(f"{' '.join(words)}\n{run.stdout[-3000:]}{run.stderr[-3000:]}")
+    return run.stdout
 
 
 @contextmanager
-def served(folder: list[Path]) -> Iterator[str]:
-    """The origin of a server of the files in the last of ``folder``."""
+def serve_last(folders: list[Path]) -> Iterator[str]:
+    """Serves the files of the last of ``folders`` while the block runs, which may append folders. Yields the origin."""
 
-    class Latest(Files):
-        def __init__(self, *asked: object, **named: object) -> None:
-            super().__init__(*asked, directory=str(folder[-1]), **named)  # pyright: ignore[reportArgumentType]
+    class Files(SimpleHTTPRequestHandler):
+        def __init__(self, *arguments: object, **named: object) -> None:
+            super().__init__(*arguments, directory=str(folders[-1]), **named)  # pyright: ignore[reportArgumentType]
 
-    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Latest)) as server:
+        def log_message(self, format: str, *args: object) -> None:
+            """Logs nothing."""
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Files) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         yield f"http://127.0.0.1:{server.server_address[1]}"
         server.shutdown()
 
 
-def moves(address: str) -> int:
-    """Frames that a page at ``address`` has shown when its picture has moved; asserts that it does."""
+def count_frames(address: str) -> int:
+    """Asserts that the picture of the page at ``address`` moves, without an error. Returns how many frames it has shown
+    by then."""
     with open_page(address) as page:
         page.wait_for(f"Number(document.body?.dataset.frames) >= {FRAMES}")
         page.wait_until_it_moves(page.picture())
@@ -123,27 +122,26 @@ def moves(address: str) -> int:
 
 
 def main() -> None:
-    """Command line entry."""
+    """Tries the bundlers that the command line names, and prints how many frames each page has shown."""
     parser = argparse.ArgumentParser(description="Tries the tarball of @drape/client in bundlers and a browser.")
     parser.add_argument("--only", nargs="+", choices=list(BUNDLERS), default=list(BUNDLERS))
-    asked = parser.parse_args().only
+    bundlers = parser.parse_args().only
     folders: list[Path] = [ROOT]
-    with tempfile.TemporaryDirectory(prefix="drape-package-") as place, served(folders) as origin:
-        tarball = (
-            Path(place) / ran(["npm", "pack", "--silent", "--pack-destination", place, str(LIBRARY)], ROOT).strip()
-        )
+    with tempfile.TemporaryDirectory(prefix="drape-package-") as place, serve_last(folders) as origin:
+        pack = ["npm", "pack", "--silent", "--pack-destination", place, str(LIBRARY)]
+        tarball = Path(place) / run_command(pack, ROOT).strip()
         print(f"{tarball.name}: {tarball.stat().st_size / 1000:.0f} kB", flush=True)
         with server(allowed_origins=json.dumps([origin])) as at:
-            for name in asked:
+            for name in bundlers:
                 build, packages = BUNDLERS[name]
                 folder = Path(place) / name
                 folder.mkdir()
                 (folder / "package.json").write_text('{"private": true, "type": "module"}')
                 shutil.copy(EXAMPLES / "shirt.js", folder)
                 quiet = ["--no-audit", "--no-fund", "--silent", "--ignore-scripts"]
-                ran(["npm", "install", *quiet, str(tarball), THREE, *packages], folder)
+                run_command(["npm", "install", *quiet, str(tarball), THREE, *packages], folder)
                 folders.append(build(folder))
-                print(f"{name}: {moves(f'{origin}/?service={at.url}')} frames", flush=True)
+                print(f"{name}: {count_frames(f'{origin}/?service={at.url}')} frames", flush=True)
 
 
 if __name__ == "__main__":

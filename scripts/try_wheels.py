@@ -36,13 +36,14 @@ APART = 'ip link set lo up && mount --bind "$1" "$1" && mount -o remount,bind,ro
 
 
 def wheel(name: str, tag: str = "any") -> Path:
-    """The one wheel of a member in dist/, that for the system of a ``tag``."""
-    (found,) = DIST.glob(f"{name}-*-py3-none-{tag}.whl")
-    return found
+    """Returns the path of the one wheel in dist/ of the distribution ``name`` for the platform ``tag``."""
+    (path,) = DIST.glob(f"{name}-*-py3-none-{tag}.whl")
+    return path
 
 
 def look_into(system: str) -> set[str]:
-    """The functions that the engines in the wheel for ``system`` export, after a look at its tag, size and files."""
+    """Asserts that the core's wheel for ``system`` has its size, tag and folders, and that its engines export the same
+    functions. Returns the names of these."""
     path = wheel("patchdrape", TAGS[system])
     assert path.stat().st_size <= WHEEL_LIMIT, f"{path.name}: {path.stat().st_size / 1e6:.1f} MB"
     with zipfile.ZipFile(path) as archive:
@@ -50,14 +51,15 @@ def look_into(system: str) -> set[str]:
         assert {name.split("/")[0].partition("-")[0] for name in names} == {"drape", "patchdrape"}, path.name
         assert f"Tag: py3-none-{TAGS[system]}" in archive.read(next(n for n in names if n.endswith("/WHEEL"))).decode()
         files = [f"drape/engine/libraries/{target.name}{target.suffix}" for target in TARGETS[system]]
-        of_target = [{one for one in exported(archive.read(file)) if "drape" in one} for file in files]
-    assert all(one == of_target[0] for one in of_target), system
+        of_target = [{name for name in exported(archive.read(file)) if "drape" in name} for file in files]
+    assert all(functions == of_target[0] for functions in of_target), system
     print(f"wheels: {path.name}, {path.stat().st_size / 1e6:.1f} MB")
     return of_target[0]
 
 
-def installed(folder: Path) -> Path:
-    """The interpreter of a new environment in ``folder`` with this system's wheels of core and service."""
+def make_environment(folder: Path) -> Path:
+    """Makes a virtual environment in ``folder`` with this system's wheels of core and service, and writes its bill of
+    materials to dist/. Returns the path of its interpreter."""
     subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
     python = folder / "bin" / "python"
     core, service = wheel("patchdrape", TAGS[host()]), wheel("patchdrape_service")
@@ -72,7 +74,7 @@ def installed(folder: Path) -> Path:
 
 
 def size_of(python: Path) -> int:
-    """Bytes of what pip has installed, without pip itself."""
+    """Returns the bytes of the packages in the environment of the interpreter ``python``, without pip itself."""
     packages = next((python.parents[1] / "lib").glob("python*/site-packages"))
     own = ("pip", "setuptools", "pkg_resources", "_distutils_hack")
     ours = [path for path in packages.iterdir() if not path.name.startswith(own)]
@@ -80,14 +82,16 @@ def size_of(python: Path) -> int:
 
 
 def isas(python: Path) -> list[str]:
-    """What ``DRAPE_ISA`` may say on this processor, the oldest first; of one that has no levels nothing."""
+    """Returns the values that ``DRAPE_ISA`` may have on this processor, the oldest first: "v2" and up. Only an empty
+    text where processors have no such levels."""
     code = "from drape.engine.probe import processor_level; print(processor_level()[0])"
-    told = subprocess.run([str(python), "-c", code], cwd="/", capture_output=True, text=True, check=True)
-    return [f"v{level}" for level in range(2, int(told.stdout) + 1)] or [""]
+    run = subprocess.run([str(python), "-c", code], cwd="/", capture_output=True, text=True, check=True)
+    return [f"v{level}" for level in range(2, int(run.stdout) + 1)] or [""]
 
 
 def serve(python: Path, isa: str) -> None:
-    """Starts the service with the engine for ``isa``, tells when it is ready, asks for a draped pose and the page."""
+    """Asserts that the service, run by ``python`` with the engine for ``isa``, starts within a minute, has the page and
+    drapes a pose. Prints how long the start takes [s]."""
     with tempfile.TemporaryDirectory() as empty:
         environment = {"PATH": empty, "HOME": "/proc/none", "DRAPE_ISA": isa}
         command, begin = [str(python), "-m", "service", "--port", str(PORT)], time.monotonic()
@@ -105,7 +109,7 @@ def serve(python: Path, isa: str) -> None:
 
 
 def main() -> None:
-    """The command."""
+    """Tries the wheels of dist/, or with ``--serve`` only the starts of an environment."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--serve", type=Path, metavar="PYTHON", help="only the starts, in this environment")
     python = parser.parse_args().serve
@@ -116,7 +120,7 @@ def main() -> None:
     functions = {system: look_into(system) for system in TARGETS}
     assert len(set(map(frozenset, functions.values()))) == 1, "every system has the same functions"
     with tempfile.TemporaryDirectory(dir="/var/tmp") as folder:
-        python = installed(Path(folder) / "venv")
+        python = make_environment(Path(folder) / "venv")
         size = size_of(python)
         print(f"wheels: {size / 1e6:.0f} MB installed with [serve]")
         assert size <= INSTALLED_LIMIT

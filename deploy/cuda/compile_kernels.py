@@ -13,7 +13,10 @@ CLONE = Path(__file__).resolve().parents[2]
 
 
 class KernelsHook(BuildHookInterface):
-    """Compiles before files are collected; another interpreter does it, which imports the clone's package."""
+    """A build hook of hatchling that puts the compiled kernels into the wheel, as ``drape_cuda/card.fatbin``.
+
+    Another process compiles, because the environment of the build has no package ``drape``.
+    """
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         path = CLONE / "build" / "cuda" / "card.fatbin"
