@@ -1,4 +1,4 @@
-"""``python -m drape``: the command ``drape``."""
+"""Runs the command ``drape`` by ``python -m drape``."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ from drape.errors import Unavailable, refusing
 
 @refusing
 def main() -> int:
-    """Runs the command line and returns its exit status.
-
-    An installation that is not whole is refused (2) before anything of it is imported.
-    """
+    """Runs the command line of the process and returns its exit status (``drape.command.main``). Refuses an
+    installation that is not whole, before anything else is imported."""
     installed.check()
     try:
         from drape.command import main as run
