@@ -18,10 +18,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m service", description="Serves draped garments. Other settings: docs/guide/operate.md."
     )
-    parser.add_argument("--host", help="address to listen on (DRAPE_HOST, 127.0.0.1)")
-    parser.add_argument("--port", type=int, help="port to listen on (DRAPE_PORT, 8000); 0 takes a free one")
+    parser.add_argument("--host", help="the address to listen on (default: DRAPE_HOST, or 127.0.0.1)")
     parser.add_argument(
-        "--open", action="store_true", default=None, help="let everybody in who can reach it (DRAPE_OPEN)"
+        "--port", type=int, help="the port to listen on, 0 for a free one (default: DRAPE_PORT, or 8000)"
+    )
+    parser.add_argument(
+        "--open",
+        action="store_true",
+        default=None,
+        help="serve without keys to everybody who can reach the address (DRAPE_OPEN)",
     )
     options = parser.parse_args(arguments)
     try:
@@ -51,7 +56,8 @@ def _serve(overrides: dict[str, object]) -> int:
             file=sys.stderr,
         )
         return 2
-    # While it loads, and at the very end. A process with the number 1 ends by no signal that nobody handles.
+    # SIGTERM ends the process also while it loads and after the server has ended. Without a handler the system would
+    # not end a process with the number 1, as that of a container.
     signal.signal(signal.SIGTERM, lambda *_: os._exit(128 + signal.SIGTERM))
     give_back_memory()
     settings = load_settings(**overrides)

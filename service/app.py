@@ -60,13 +60,17 @@ ROUTERS = (
     clip_routes.router,
 )
 
-MESHES_KEPT = 64  # of garments, bodies and motions, of some 50 kB
+MESHES_KEPT = 64  # the most meshes and motions in memory, of some 50 kB each
 
 
 def create_app(
     settings: Settings | None = None, *, runtime: DrapeRuntime | None = None, lifecycle: Lifecycle | None = None
 ) -> FastAPI:
-    """The service; ``runtime`` hands over what is already loaded, otherwise the start loads it."""
+    """Returns the application with all routes and middleware. Its lifespan begins and ends what computes.
+
+    ``runtime`` holds model, body and garments; where it is None the start loads them as ``settings`` say, which come
+    from the environment by default. ``lifecycle`` is the one that probes read, a new one by default.
+    """
     settings = settings or load_settings()
     access = Access(settings)
     metrics = Metrics() if runtime is None else runtime.metrics
@@ -79,7 +83,7 @@ def create_app(
         app.state.drape = state
         asyncio.get_running_loop().set_default_executor(ThreadLane("calls"))
         with (watch := LoopWatch(metrics)).watching():
-            state.start(exact_clips.opener(state))
+            state.start(exact_clips.work_reader(state))
             ticking = asyncio.create_task(life.tick(watch.late), name="ticking")
             life.ready()
             preparing = asyncio.create_task(state.runtime.prepare_all(), name="preparing")
@@ -99,7 +103,7 @@ def create_app(
         version=__version__,
         lifespan=lifespan,
         description="Drapes garments on moving bodies.",
-        docs_url=None,  # those of FastAPI load their scripts from another host
+        docs_url=None,  # FastAPI's own pages load their scripts from another host
         redoc_url=None,
     )
     problems.install_handlers(app)
@@ -116,7 +120,7 @@ def create_app(
 
 
 def _add_routes(app: FastAPI, settings: Settings) -> None:
-    """Adds all that clients with a key may ask, and the pages."""
+    """Adds the routes that need a key, the stream, the API's reference and the page."""
     pages.install_reference(app)
     openapi.install_document(app)
     for router in ROUTERS:
@@ -126,7 +130,7 @@ def _add_routes(app: FastAPI, settings: Settings) -> None:
 
 
 def make_state(runtime: DrapeRuntime, access: Access, life: Lifecycle) -> State:
-    """The state of a service around ``runtime``; nothing of it has begun."""
+    """Returns the state of a service that drapes by ``runtime``. ``State.start`` begins its work."""
     sliced_thread = SlicedThread()
     uploads, streams = Uploads(runtime, sliced_thread, access), Streams(runtime, sliced_thread)
     return State(

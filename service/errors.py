@@ -1,8 +1,9 @@
-"""The error tree on the outside: one table gives each refusal its HTTP status and WebSocket close code."""
+"""Refusals as clients see them: a table gives each class of error its HTTP status and WebSocket close code."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,27 +26,27 @@ REASON_BYTES = 123  # what a WebSocket close frame can carry
 
 
 class Forbidden(InputError):
-    """A refusal of a request because of where it comes from: its host or its origin is not allowed."""
+    """A refusal of a request whose host or origin is not allowed."""
 
 
 class NotAcceptable(InputError):
-    """None of the formats that the client accepts is one of ours."""
+    """A refusal of a request whose header Accept takes none of the formats that the route offers."""
 
 
 class Unauthorized(InputError):
-    """No key or ticket that this service knows."""
+    """A refusal of a request without a valid key or ticket."""
 
 
 class TooSlow(InputError):
-    """A stream client that has stopped reading, opening or sending."""
+    """A refusal of a client that has not sent or read within the time it has."""
 
 
 class Busy(Unavailable):
-    """All places are taken for now."""
+    """A refusal because a limit of what runs at a time or per second is reached; a later try may succeed."""
 
 
 class Draining(Unavailable):
-    """The service ends, and another takes its place."""
+    """A refusal because this process ends. Another one takes its place, so the client should connect again."""
 
     def __init__(self) -> None:
         cure = "Connect again: another process takes over."
@@ -56,12 +57,12 @@ class Draining(Unavailable):
 
 
 class Full(Unavailable):
-    """No more room for what would be stored."""
+    """A refusal because the storage for uploads and clips is full."""
 
 
 @dataclass(frozen=True)
 class Rule:
-    """The HTTP status, close code and title of one kind of refusal."""
+    """The HTTP status, the WebSocket close code and the title of one kind of refusal."""
 
     status: int
     close_code: int
@@ -90,13 +91,13 @@ TABLE: dict[type[DrapeError], Rule] = {
 
 
 def rule_for(error: DrapeError | type[DrapeError]) -> Rule:
-    """The row of ``error``'s class, or of its nearest base."""
+    """Returns the rule of the class of ``error``, an instance or a class; of its nearest base if it has none."""
     kind = error if isinstance(error, type) else type(error)
     return next(TABLE[base] for base in kind.__mro__ if base in TABLE)
 
 
 def problem_of(error: DrapeError) -> dict[str, Any]:
-    """The problem document (RFC 9457) of ``error``."""
+    """Returns the problem document (RFC 9457) of ``error`` as a dictionary, with the fields of ``schemas.Problem``."""
     rule = rule_for(error)
     return {
         "type": f"urn:drape:{type(error).__name__}",
@@ -111,7 +112,7 @@ def problem_of(error: DrapeError) -> dict[str, Any]:
 
 
 def problem_response(error: DrapeError) -> JSONResponse:
-    """The HTTP answer to ``error``."""
+    """Returns the HTTP response with the problem document and the status of ``error``."""
     document = problem_of(error)
     status = document["status"]
     headers = {401: {"WWW-Authenticate": "Bearer"}, 429: {"Retry-After": "1"}}.get(status)
@@ -119,18 +120,26 @@ def problem_response(error: DrapeError) -> JSONResponse:
 
 
 def close_reason(error: DrapeError) -> str:
-    """The sentence of ``error``, cut to what a close frame carries; the whole one goes in a message before it."""
+    """Returns the sentence of ``error``, cut to the ``REASON_BYTES`` of a WebSocket close frame."""
     raw = str(error).encode()
     return raw.decode() if len(raw) <= REASON_BYTES else raw[: REASON_BYTES - 3].decode(errors="ignore") + "..."
 
 
 def error_message(error: DrapeError) -> str:
-    """The JSON text message that precedes a close."""
+    """Returns the text message that tells a stream's client of ``error`` before the close: the problem document as
+    JSON, with "error" as its type and the class as its ``kind``."""
     return json.dumps({**problem_of(error), "type": "error", "kind": type(error).__name__})
 
 
+def spoken_error(words: Mapping[str, str], otherwise: type[DrapeError]) -> DrapeError:
+    """Returns the error that another process put in ``words``: kind, name, expected, got and cure. Its class is
+    ``otherwise`` where ``TABLE`` has none of the name ``kind``."""
+    kind = next((kind for kind in TABLE if kind.__name__ == words["kind"]), otherwise)
+    return kind(words["name"], expected=words["expected"], got=words["got"], cure=words["cure"])
+
+
 class InternalError(DrapeError):
-    """A fault of ours; the log holds the cause, the client does not."""
+    """The refusal that stands for a fault of the service. The log holds the cause, which clients do not see."""
 
     def __init__(self) -> None:
         super().__init__(

@@ -11,8 +11,11 @@ from service.guard.key_file import NAME, key_digest
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="Makes a key: prints it once, and what DRAPE_KEYS_FILE holds of it.")
-    parser.add_argument("name")
+    parser = argparse.ArgumentParser(
+        description="Makes an API key. Prints the key on standard error, and on standard output its entry for "
+        "DRAPE_KEYS_FILE, which holds only a hash."
+    )
+    parser.add_argument("name", help="the name of the key's owner: at most 40 small letters, digits and dashes")
     name = parser.parse_args().name
     if not NAME.fullmatch(name):
         print("service.keys: NAME: expected at most 40 small letters, digits and dashes.", file=sys.stderr)

@@ -15,20 +15,31 @@ if TYPE_CHECKING:
 
 
 def app(arguments: dict[str, str]) -> Application:
-    """For ``serve run service.ray_app:app least=1 most=4``: everything else from the environment."""
+    """Returns the deployment for ``serve run service.ray_app:app least=1 most=4``: so many replicas at least and at
+    most, 1 by default. All other settings come from the environment."""
     return application(load_settings(), int(arguments.get("least", 1)), int(arguments.get("most", 1)))
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Serves until it is told to end; the exit status, 2 after a refusal."""
+    """Serves until the process is told to end. Returns the exit status: 0, or 2 after a refusal."""
     parser = argparse.ArgumentParser(
-        prog="python -m service.ray_app", description="Serves with several processes. docs/guide/deploy.md"
+        prog="python -m service.ray_app",
+        description="Serves with several processes by Ray Serve; see docs/guide/deploy.md.",
     )
-    parser.add_argument("--host", help="address to listen on (DRAPE_HOST, 127.0.0.1)")
-    parser.add_argument("--port", type=int, help="port to listen on (DRAPE_PORT, 8000)")
-    parser.add_argument("--replicas", type=int, nargs=2, default=(1, 1), metavar=("LEAST", "MOST"), help="1 1")
-    parser.add_argument("--address", help="of a Ray cluster that runs, or auto; without it, one of its own")
-    parser.add_argument("--open", action="store_true", default=None, help="let everybody in who can reach it")
+    parser.add_argument("--host", help="the address to listen on (default: DRAPE_HOST, or 127.0.0.1)")
+    parser.add_argument("--port", type=int, help="the port to listen on (default: DRAPE_PORT, or 8000)")
+    parser.add_argument(
+        "--replicas",
+        type=int,
+        nargs=2,
+        default=(1, 1),
+        metavar=("LEAST", "MOST"),
+        help="the least and the greatest number of processes, between which Ray chooses by load (default: 1 1)",
+    )
+    parser.add_argument("--address", help="the address of a running Ray cluster, or auto (default: start one here)")
+    parser.add_argument(
+        "--open", action="store_true", default=None, help="serve without keys to everybody who can reach the address"
+    )
     options = vars(parser.parse_args(arguments))
     least, most = options.pop("replicas")
     address = options.pop("address")

@@ -1,4 +1,4 @@
-"""Uvicorn as the stream needs it: no compression, small buffers, and a line that can be cut."""
+"""Uvicorn as the stream needs it: no compression, small buffers, and connections that can be aborted."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from service.settings import Settings
 from service.stream.routes import ABORT
 from service.watch.watchdog import end_when_told, told_to_end
 
-SEND_BUFFER_BYTES = 256 * 1024  # what the kernel may hold back for a slow reader
-MESSAGE_BYTES = 64 * 1024  # of a message from a client
-END_S = 14  # from the beginning of the end, for what hangs
+SEND_BUFFER_BYTES = 256 * 1024  # what the kernel may buffer for a slow reader
+MESSAGE_BYTES = 64 * 1024  # the longest message from a client
+END_S = 14  # from the beginning of the shutdown until the process is ended by force
 LOOK_S = 0.25  # between two looks at whether the service should end
 
 
 class StreamProtocol(WebSocketsSansIOProtocol):
-    """Puts ``transport.abort`` into the scope.
+    """Uvicorn's protocol of one WebSocket, with ``transport.abort`` in the scope, under ``extensions``.
 
-    A client that has stopped reading keeps its connection open for ever otherwise: closing
-    waits for what is buffered, and pings are not answered by an application that is stuck.
+    A client that has stopped reading would keep its connection open for ever: closing waits for what is buffered, and
+    an application that is stuck answers no pings.
     """
 
     def handle_connect(self, event: Request) -> None:
@@ -42,7 +42,8 @@ class StreamProtocol(WebSocketsSansIOProtocol):
 
 
 def bind_listener(host: str, port: int) -> socket.socket:
-    """A listening socket; refuses with a sentence where the address is taken or not ours."""
+    """Returns a socket that listens on ``host`` and ``port`` (0: a free one). Refuses (``Unavailable``) a port that is
+    taken, and (``InputError``) an address that this machine does not have."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
@@ -77,12 +78,12 @@ def bind_listener(host: str, port: int) -> socket.socket:
 
 
 class DrainingServer(uvicorn.Server):
-    """A server that tells streams to connect again before it closes connections, and that looks for its end less often
-    than Uvicorn's."""
+    """A Uvicorn server that drains the application before it closes connections: its streams are told to connect
+    again."""
 
     async def main_loop(self) -> None:
-        """Looks for its end every ``LOOK_S``. Uvicorn's own loop turns ten times a second, which costs as much as a
-        fifth of what a stream of a body that stands still does."""
+        """Runs until the server is told to end, which it looks for every ``LOOK_S``. Uvicorn's own loop turns ten times
+        a second, which costs a fifth of a stream of a body that stands still."""
         while not await self.on_tick(0):
             await asyncio.sleep(LOOK_S)
             if told_to_end():
@@ -96,7 +97,8 @@ class DrainingServer(uvicorn.Server):
             yield
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Takes no more connections, lets the application drain, and ends within 10 s; within 15 whatever hangs."""
+        """Stops listening, drains the application (``State.drain``) and closes ``sockets`` and all connections: within
+        10 s, or by force within 15 where something hangs."""
         if threading.current_thread() is threading.main_thread():
             signal.alarm(END_S)  # after Ctrl-C, too
         for server in self.servers:
@@ -108,7 +110,8 @@ class DrainingServer(uvicorn.Server):
 
 
 def make_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
-    """Returns a server for ``app``. Its ``run`` takes the listening socket: ``run(sockets=[...])``."""
+    """Returns a server for ``app`` that has not begun. ``run(sockets=[...])`` serves on listening sockets until it is
+    told to end."""
     return DrainingServer(
         uvicorn.Config(
             app,
@@ -121,7 +124,7 @@ def make_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
             log_level="info",
             access_log=False,
             server_header=False,
-            log_config=None,  # as service.watch.logs has set it up
+            log_config=None,  # service.watch.logs has set up logging
             timeout_graceful_shutdown=5,
         )
     )

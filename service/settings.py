@@ -25,19 +25,20 @@ from drape.wire.options import Inertia, TierName
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def built(page: str) -> Path:
-    """The folder of a built ``page``: that of ``clients/web`` in a clone, elsewhere a copy in this package."""
+def page_folder(page: str) -> Path:
+    """Returns the folder in which the build of ``page`` lies: in ``clients/web`` of a clone, or in this package where
+    it is installed. The folder need not exist."""
     return ROOT / "clients/web" / page if CLONE else Path(str(files("service"))) / "pages" / page
 
 
-PAGE = built("dist")
-# Variables that begin as settings do and are read elsewhere in the product, and in its tests.
+PAGE = page_folder("dist")
+# Variables that begin with DRAPE_ too and that other parts of the product, or its tests, read.
 OTHERS = ("BPY", "CACHE", "CURVATURE", "DATA", "ENGINE", "ISA", "KEY", "SYSTEM", "TEST_RUN", "URL")
 
 
 class Settings(BaseSettings):
-    """The settings of a service, which docs/guide/operate.md explains. Variables of the environment are named as the
-    fields, upper case behind ``DRAPE_``."""
+    """The settings of a service. The variable of the environment for a field is its name in capitals after ``DRAPE_``;
+    docs/guide/operate.md explains each."""
 
     model_config = SettingsConfigDict(env_prefix="DRAPE_", extra="forbid", frozen=True, protected_namespaces=())
 
@@ -115,7 +116,8 @@ def _is_loopback(host: str) -> bool:
 
 
 def load_settings(**overrides: object) -> Settings:
-    """The settings from the environment, ``overrides`` first; raises ``InputError`` for the first bad value."""
+    """Returns the settings: ``overrides``, else the environment's variables, else the defaults. Raises ``InputError``
+    for the first bad value."""
     try:
         return Settings(**overrides)  # pyright: ignore[reportArgumentType]
     except ValidationError as error:
@@ -125,12 +127,12 @@ def load_settings(**overrides: object) -> Settings:
             name,
             expected=first["msg"],
             got=repr(first.get("input")),
-            cure="Correct or unset it; see docs/guide/operate.md.",
+            cure="Correct or unset the variable; docs/guide/operate.md lists the settings.",
         ) from error
 
 
 def unread_variables() -> list[str]:
-    """The variables of the environment that begin as settings do and that nothing reads."""
+    """Returns the names of the environment's variables that begin with ``DRAPE_`` and that nothing reads, sorted."""
     known = {name.upper() for name in Settings.model_fields} | {*OTHERS}
-    said = {name.upper().removeprefix("DRAPE_") for name in os.environ if name.upper().startswith("DRAPE_")}
-    return sorted(f"DRAPE_{name}" for name in said - known)
+    present = {name.upper().removeprefix("DRAPE_") for name in os.environ if name.upper().startswith("DRAPE_")}
+    return sorted(f"DRAPE_{name}" for name in present - known)

@@ -36,14 +36,14 @@ if TYPE_CHECKING:
     from service.uploads.shared_folder import SharedFolder
     from service.watch.probes import Lifecycle
 
-HURRY_S = 3.0
-STREAMS_S = 2.0  # for streams to go
+HURRY_S = 3.0  # from the beginning of a drain until running requests are refused
+STREAMS_S = 2.0  # the time that a drain waits for streams to go
 
 
 @dataclass(eq=False)
 class State:
-    """All that routes reach from a request: the runtime with body, model and garments, the uploads, streams and clips
-    in progress, the thread that writes JSON, and answers that are kept, as pictures, meshes and motions."""
+    """The objects of a running service that routes reach from a request: the runtime with body, model and garments;
+    uploads, streams and clips in progress (``clips`` is their number); the thread that writes JSON; kept answers."""
 
     runtime: DrapeRuntime
     uploads: Uploads
@@ -62,21 +62,23 @@ class State:
     clips: int = 0
 
     async def garment(self, garment_id: str, client: Client) -> Entry:
-        """Returns the garment ``garment_id``, if ``client`` may know of it (``Registry.get``,
-        ``SharedFolder.found``)."""
-        await self._woken([garment_id], client)
-        return await self.shared_folder.found(lambda: self.runtime.garments.get(garment_id, client.name))
+        """Returns the entry of the garment ``garment_id``. Refuses (``NotFound``) an unknown one, and one that
+        ``client`` may not see."""
+        await self._load_own([garment_id], client)
+        return await self.shared_folder.look_up(lambda: self.runtime.garments.get(garment_id, client.name))
 
-    async def _woken(self, ids: Sequence[str], client: Client) -> str | None:
-        """The avatar that came in one of the garments ``ids``, whose own are read from the disk then."""
-        name = next((one.partition(MARK)[0] for one in ids if MARK in one), None)
+    async def _load_own(self, ids: Sequence[str], client: Client) -> str | None:
+        """Returns the id of the avatar that came in the first of the garments ``ids`` that an avatar came in, and reads
+        that avatar's garments from the disk; None if there is no such garment."""
+        name = next((garment.partition(MARK)[0] for garment in ids if MARK in garment), None)
         if name is not None:
             await asyncio.to_thread(self.runtime.avatars.own, (await self.avatar(name, client)).id)
         return name
 
     async def avatar(self, avatar_id: str, client: Client) -> AvatarEntry:
-        """Returns the avatar ``avatar_id``, if ``client`` may know of it (``Avatars.get``, ``SharedFolder.found``)."""
-        return await self.shared_folder.found(lambda: self.runtime.avatars.get(avatar_id, client.name))
+        """Returns the entry of the avatar ``avatar_id``. Refuses (``NotFound``) an unknown one, and one that ``client``
+        may not see."""
+        return await self.shared_folder.look_up(lambda: self.runtime.avatars.get(avatar_id, client.name))
 
     async def scene(
         self,
@@ -88,39 +90,41 @@ class State:
         size: SizeChoice = None,
         alive: bool = False,
     ) -> Scene:
-        """Returns the scene of one ``garment``, or of ``garments`` over each other, in a ``size`` and cut for the
-        ``avatar``, if one is named.
+        """Returns the scene of one ``garment``, or of ``garments`` worn over each other (the innermost first), in
+        ``size``, cut for ``avatar`` if one is named.
 
-        If it is ``alive``, the avatar wears its own clothes too. A garment that an avatar came in is worn by that
-        avatar without its being named. Refuses as ``Registry.scene``, ``Sizes.wear``, ``Avatars.with_own`` and
-        ``Avatars.dress`` do.
+        With ``alive`` the avatar wears its own clothes too. A garment that an avatar came in is worn by that avatar
+        even where ``avatar`` is None. Refuses (``InputError``) ``alive`` without an avatar, and what
+        ``Registry.scene``, ``Sizes.wear``, ``Avatars.with_own`` and ``Avatars.dress`` refuse.
         """
         registry, avatars = self.runtime.garments, self.runtime.avatars
         worn_by = None if avatar is None else (await self.avatar(avatar, client)).id
-        owner = await self._woken([one for one in (garment, *(garments or ())) if one is not None], client)
+        owner = await self._load_own([name for name in (garment, *(garments or ())) if name is not None], client)
         worn_by, scene = worn_by or owner, None
         if alive and worn_by is None:
             raise InputError("alive", expected="an avatar", got="none", cure="Name the avatar, or leave alive out.")
         if not alive or garment or garments:
-            scene = await self.shared_folder.found(lambda: registry.scene(garment, garments, client.name))
+            scene = await self.shared_folder.look_up(lambda: registry.scene(garment, garments, client.name))
             scene = scene if size is None else await asyncio.to_thread(self.runtime.sizes.wear, scene, size)
         if worn_by is not None and alive:
             scene = await asyncio.to_thread(avatars.with_own, worn_by, scene)
         assert scene is not None
         return scene if worn_by is None else await asyncio.to_thread(avatars.dress, worn_by, scene)
 
-    async def worn(self, asked: ClipOptions | OpenRequest, client: Client) -> Scene:
-        """The ``scene`` of a request."""
-        choices = {"avatar": asked.avatar, "size": asked.size, "alive": asked.alive}
-        return await self.scene(asked.garment, asked.garments, client, **choices)
+    async def requested_scene(self, request: ClipOptions | OpenRequest, client: Client) -> Scene:
+        """Returns the ``scene`` that ``request`` of ``client`` names."""
+        choices = {"avatar": request.avatar, "size": request.size, "alive": request.alive}
+        return await self.scene(request.garment, request.garments, client, **choices)
 
     async def wearer(self, avatar: str, client: Client) -> Wearer:
-        """The wearer of an avatar that ``client`` may know of; read from the disk where it wears nothing yet."""
+        """Returns the body, rig and surface of the avatar with the id ``avatar``, read from the disk if they are not in
+        memory. Refuses (``NotFound``) as ``avatar`` does."""
         entry = await self.avatar(avatar, client)
         return await asyncio.to_thread(self.runtime.avatars.wearer, entry.id)
 
     def watch(self) -> None:
-        """Gives the metrics and the readiness the functions by which they look at what runs."""
+        """Registers the functions by which metrics and readiness read the state of streams, clips, uploads and
+        cards."""
         runtime, streams, uploads = self.runtime, self.streams, self.uploads
         runtime.metrics.watch(
             streams=lambda: streams.count,
@@ -141,23 +145,24 @@ class State:
         self.life.works["exact clips"] = lambda: self.exact.runs
         self.life.works["shared folder"] = lambda: self.shared_folder.runs
 
-    def start(self, opened: Callable[[bytes, str | None], Awaitable[Work]]) -> None:
-        """Begins to take work; ``opened`` as in ``ExactClips.start``."""
+    def start(self, read_work: Callable[[bytes, str | None], Awaitable[Work]]) -> None:
+        """Starts streams, uploads, exact clips and the look at the shared folder. ``read_work`` is that of
+        ``ExactClips.start``."""
         for part in (self.uploads, self.streams, self.shared_folder):
             part.start()
-        self.exact.start(opened)
+        self.exact.start(read_work)
         self.watch()
 
     async def stop(self) -> None:
-        """Ends all that ``start`` began, and what computes."""
+        """Ends what ``start`` began, and the threads and processes that compute."""
         for part in (self.shared_folder, self.uploads, self.exact, self.streams):
             await part.stop()
         self.sliced_thread.close()
         self.runtime.close()
 
     async def drain(self) -> None:
-        """Takes no more work. Streams go with their state, or are told to connect again; what still runs after
-        ``HURRY_S`` is told that the service ends."""
+        """Takes no more work, and waits up to ``STREAMS_S`` until streams are gone: each takes its state to another
+        process, or is told to connect again. Requests that still run after ``HURRY_S`` are refused (``Draining``)."""
         self.life.draining = True
         self.uploads.pause()
         self.exact.pause()
@@ -171,7 +176,7 @@ class State:
         self.life.hurried = self.runtime.threads.hurried = True
 
     def check_slot(self) -> None:
-        """Refuses when all places for clips are taken, so that waiting answers cannot fill the memory."""
+        """Refuses (``Busy``) where ``max_clips`` clips are in progress: their answers could fill the memory."""
         limit = self.runtime.settings.max_clips
         if self.clips >= limit:
             raise Busy(
@@ -180,7 +185,7 @@ class State:
 
     @contextmanager
     def slot(self) -> Iterator[None]:
-        """A place for one clip; refuses when all are taken."""
+        """Counts a clip as in progress while the block runs. Refuses as ``check_slot`` does."""
         self.check_slot()
         self.clips += 1
         try:
@@ -189,11 +194,12 @@ class State:
             self.clips -= 1
 
 
-async def _state(request: Request) -> State:  # not by a thread of the framework
+# These are coroutines because FastAPI would run plain functions on a thread.
+async def _state(request: Request) -> State:
     return request.app.state.drape
 
 
-async def _admitted(connection: HTTPConnection) -> Client:  # not by a thread of the framework
+async def _admitted(connection: HTTPConnection) -> Client:
     return connection.app.state.drape.access.admit(connection.headers)
 
 

@@ -1,4 +1,4 @@
-"""The facts of an avatar that clients are told."""
+"""What answers say of an avatar."""
 
 from __future__ import annotations
 
@@ -15,36 +15,40 @@ from drape.garment.cache import Garment
 
 
 class AvatarPart(BaseModel):
-    """One part of a character."""
+    """A part of a character's surface, as its skin, its hair or a piece of clothing."""
 
     name: str
-    kind: Kind = Field(description="What it is.")
+    kind: Kind = Field(description="The kind of the part.")
     faces: int = Field(description="The number of its triangles.")
-    sure: float = Field(description="How sure the kind is, 0 to 1; 1 where a client told it.")
-    bulky: bool = Field(default=False, description="Whether it is a thing that comes off with what a top replaces.")
+    sure: float = Field(description="How sure the kind is, 0 to 1. It is 1 where a client has set the kind.")
+    bulky: bool = Field(
+        default=False, description="Whether it stands far off the body. Garments on the upper half then replace it."
+    )
 
 
 class OwnGarment(BaseModel):
-    """A garment that a character came in."""
+    """A garment that was made from a character's own clothes."""
 
-    garment: str = Field(description="Its id, for requests that name the avatar.")
+    garment: str = Field(description="The garment's id, for requests that name the avatar.")
     kind: Kind
-    parts: list[str] = Field(description="The names of the parts that it was. They are not drawn while it is worn.")
+    parts: list[str] = Field(
+        description="The names of the character's parts that it was made from. They are not drawn while it is worn."
+    )
 
 
 class AvatarFacts(BaseModel):
-    """The facts of an avatar that clients are told."""
+    """The facts about a character that answers hold, all but its id."""
 
     name: str
     digest: str
     joints: dict[str, str] = Field(description="The node of the character's skeleton for each of SMPL's joints.")
     found_by: Literal["vrm", "names", "shape", "told"] = Field(
         default="names",
-        description="How the joints were found: by VRM's bones, by the names of nodes, by their "
-        "places, or told by PATCH.",
+        description="How the joints were found. vrm: by VRM's bones. names: by the names of nodes. shape: by the "
+        "positions of nodes. told: a client named them (PATCH).",
     )
     confidence: float = Field(
-        default=1.0, description="Of joints found by their places: how much these are like a person's, 0 to 1."
+        default=1.0, description="Where joints were found by shape: how much they are like a person's, 0 to 1."
     )
     notes: list[str] = Field(default=[], description="Sentences on what looks wrong with the character.")
     nodes: list[str] = Field(
@@ -52,7 +56,8 @@ class AvatarFacts(BaseModel):
         "``rig_poses`` come in this order."
     )
     fit: dict[str, float] = Field(
-        description="The distances [mm] of its trunk and limbs from the body that stands for it."
+        description="How far the surface of its trunk and limbs is from the body that stands for it [mm]: median_mm is "
+        "the median, p95_mm the 95th percentile."
     )
     height_m: float
     rest_joints: list[list[float]] = Field(
@@ -60,42 +65,48 @@ class AvatarFacts(BaseModel):
     )
     floor_m: float = Field(description="The height of its soles [m].")
     scale: float = Field(description="How many metres a unit of its file is.")
-    vrm: str | None = Field(description="The version of VRM, if the file is one.")
+    vrm: str | None = Field(description="The version of VRM, 0 or 1. Null for a file that is no VRM.")
     vertices: int = Field(description="The number of vertices of its own surface.")
     parts: list[AvatarPart] = Field(
-        default=[], description="What is what on the character: skin, hair, clothes, things that it carries."
+        default=[], description="The parts of its surface: skin, hair, clothes, things that it carries."
     )
     alive: list[OwnGarment] | None = Field(
         default=None,
-        description="Its own clothes as garments, the innermost first; null where it was sent without `alive`.",
+        description="The garments made from its own clothes, the innermost first. Null where it was uploaded without "
+        "`alive`.",
     )
     stiff: dict[str, str] = Field(
-        default={}, description="Why clothes of its stay on its skin as they are, by the names of parts."
+        default={},
+        description="The parts of its own clothes that did not become garments, and why. They move with the skin.",
     )
 
 
 class AvatarInfo(AvatarFacts):
-    """A user's character that wears garments."""
+    """A user's character, which can wear garments."""
 
     id: str
 
 
 class AvatarWears(AvatarInfo):
-    """A user's character, and what it can wear."""
+    """A user's character, and which garments it can wear."""
 
     wears: dict[str, bool] = Field(description="Whether it can wear each garment, by the garments' ids.")
-    wears_why: dict[str, str] = Field(description="Why it cannot wear a garment.")
+    wears_why: dict[str, str] = Field(
+        description="The reason for each garment that it cannot wear, by the garment's id."
+    )
 
 
 def facts_of(wearer: Wearer, name: str, own: Sequence[Garment] | None, stiff: dict[str, str]) -> AvatarFacts:
-    """Returns the facts of ``wearer``, whose id is ``name``, that clients are told, and those of its ``own`` clothes if
-    these were asked for.
+    """Returns the facts of ``wearer``, an avatar with the id ``name``.
+
+    ``own`` are the garments made from its own clothes, None if none were to be made. ``stiff`` says by the names of
+    parts why others did not become garments.
     """
     parts = wearer.attire.parts
     alive = None if own is None else [
-        OwnGarment(garment=own_id(name, one), kind=one.manifest[OWN]["kind"],
-                   parts=[parts[number].name for number in one.manifest[OWN]["parts"]])
-        for one in own
+        OwnGarment(garment=own_id(name, garment), kind=garment.manifest[OWN]["kind"],
+                   parts=[parts[number].name for number in garment.manifest[OWN]["parts"]])
+        for garment in own
     ]  # fmt: skip
     return AvatarFacts(
         name=wearer.name,
@@ -119,5 +130,5 @@ def facts_of(wearer: Wearer, name: str, own: Sequence[Garment] | None, stiff: di
 
 
 def own_id(name: str, garment: Garment) -> str:
-    """The id of a ``garment`` that the avatar ``name`` came in."""
+    """Returns the id of ``garment``, which was made from the own clothes of the avatar ``name``."""
     return f"{name}{MARK}{garment.manifest[OWN]['kind']}"

@@ -1,4 +1,4 @@
-"""The avatars in service: characters of users, and for each the stages and the garments that are cut for it."""
+"""The avatars in service: characters of users, with the stages and the garments that are cut for each."""
 
 from __future__ import annotations
 
@@ -33,16 +33,15 @@ from service.compute.json_records import read_record
 if TYPE_CHECKING:
     from service.settings import Settings
 
-FOLDER = ".avatars"  # beside the garments, which their registry looks for without dots
+FOLDER = ".avatars"  # in the folder of garments, whose lists pass over names with a dot
 log = logging.getLogger("drape.service")
-# Avatars whose stages and garments are kept, 20 to 40 MB a garment; others are made again when they are worn.
+# The most avatars whose stages and garments stay in memory, at 20 to 40 MB a garment. Others are made again when used.
 MOST_WORN = 4
 
 
 class OwnFiles(NamedTuple):
-    """The stored clothes that a character came in: the ``caches`` of them, and ``stiff``, which says of other
-    parts why they are no cloth.
-    """
+    """The own clothes of a character: the ``caches`` of the garments made from them, the innermost first, and
+    ``stiff``, which says by the names of parts why others did not become garments."""
 
     caches: Sequence[Path]
     stiff: dict[str, str]
@@ -50,7 +49,7 @@ class OwnFiles(NamedTuple):
 
 @dataclass(frozen=True)
 class AvatarRecord:
-    """The record that is stored beside an avatar's files."""
+    """The JSON file beside an avatar's other files: its id, its facts (``told``) and the key that sent it."""
 
     id: str
     told: AvatarFacts
@@ -59,8 +58,8 @@ class AvatarRecord:
 
 @dataclass(frozen=True)
 class AvatarEntry:
-    """An avatar in service. ``path``: its stored file; ``source``: the file that the user sent; ``facts``: what clients
-    see of it; ``owner``: the key that sent it."""
+    """An avatar in service. ``path`` is the file of its wearer (``load_wearer``), ``source`` the file that the user
+    sent, ``owner`` the key that sent it, None where no keys are asked for."""
 
     id: str
     path: Path
@@ -70,25 +69,28 @@ class AvatarEntry:
 
     @cached_property
     def document(self) -> bytes:
-        """The JSON text of its ``AvatarInfo``. It is written once, because a character may have thousands of nodes."""
+        """The JSON text of its ``AvatarInfo``. It is computed once, because a character may have thousands of nodes."""
         return AvatarInfo(id=self.id, **self.facts.model_dump()).model_dump_json().encode()
 
     def own_files(self) -> list[Path]:
-        """The caches of the garments that it came in."""
+        """Returns the paths of the caches of the garments made from its own clothes."""
         return sorted(self.path.parent.glob(f"{self.id}{MARK}*.npz"))
 
     def wearing(self, garment: Garment) -> Entry:
-        """The entry of a ``garment`` that it came in."""
+        """Returns the entry of ``garment``, one of those made from its own clothes."""
         name = own_id(self.id, garment)
         return Entry(name, garment, "user", self.path.with_name(f"{name}.npz"), self.owner)
 
     def seen_by(self, viewer: str | None) -> bool:
-        """Whether the key ``viewer`` may know of it."""
+        """Whether the key ``viewer`` may see it: it has no owner, or that one."""
         return self.owner is None or self.owner == viewer
 
 
 class Avatars:
-    """Avatars by id. What one needs to wear garments is made when it first wears one."""
+    """The avatars in service by their ids. The stages of one are made when it first wears a garment.
+
+    ``body`` is the standard body, ``stages_on`` makes the stages of another, ``make`` calls a function that takes long.
+    """
 
     def __init__(
         self, body: BodyModel, settings: Settings, stages_on: Callable[[BodyModel], BodyStages], make: Make = call_here
@@ -98,55 +100,59 @@ class Avatars:
         self._entries: dict[str, AvatarEntry] = {}
         self._worn: OrderedDict[str, _Dressed] = OrderedDict()
         self._reaches: dict[str, Reach] = {}
-        self._one = threading.Lock()
-        self._seen: dict[Path, int] = {}  # when each file that tells of an avatar was written [ns]
+        self._lock = threading.Lock()
+        self._seen: dict[Path, int] = {}  # when each file of an avatar's facts was written [ns since 1970]
         self.follow()
 
     def follow(self) -> None:
-        """Takes over what the folder has: at the start all, later what other services added, corrected or removed."""
-        there = garment_files.list_avatar_facts(self._root)
-        for about, written_ns in there.items():
+        """Puts avatars in service that are new or changed in the folder, and takes those out of service whose files are
+        gone. Other services may share the folder."""
+        present = garment_files.list_avatar_facts(self._root)
+        for about, written_ns in present.items():
             if self._seen.get(about) != written_ns:
                 self._read(about)
-        for entry in [one for one in self._entries.values() if one.path.with_suffix(".json") not in there]:
-            if not entry.path.exists():  # else it came after the look
+        for entry in [entry for entry in self._entries.values() if entry.path.with_suffix(".json") not in present]:
+            if not entry.path.exists():  # else it came after the list was read
                 self._entries.pop(entry.id, None)
                 self._undress(entry.id)
-        self._seen = there
+        self._seen = present
 
     def _read(self, about: Path) -> None:
-        """Puts the avatar that ``about`` tells of in service; a file that was removed meanwhile is passed over."""
-        held = read_record(AvatarRecord, about)
-        if held is None:
+        """Puts the avatar with the facts in ``about`` in service. A file that was removed meanwhile is passed over."""
+        record = read_record(AvatarRecord, about)
+        if record is None:
             return
-        entry = AvatarEntry(held.id, about.with_suffix(".npz"), about.with_suffix(".glb"), held.told, held.owner)
+        files = about.with_suffix(".npz"), about.with_suffix(".glb")
+        entry = AvatarEntry(record.id, *files, record.told, record.owner)
         if entry.path.is_file() and entry != self._entries.get(entry.id):
             self._entries[entry.id] = entry
             self._undress(entry.id)
 
     @property
     def worn(self) -> tuple[BodyStages, ...]:
-        """Returns the bodies, with their stages, of the avatars that wear garments."""
-        return tuple(stages for one in list(self._worn.values()) for stages in list(one.stages.values()))
+        """The stages of all bodies of the avatars that are in memory."""
+        return tuple(stages for dressed in list(self._worn.values()) for stages in list(dressed.stages.values()))
 
     def visible(self, viewer: str | None) -> list[AvatarEntry]:
-        """Returns the avatars that the key ``viewer`` may know of."""
+        """Returns the entries of the avatars that the key ``viewer`` may see."""
         return [entry for entry in list(self._entries.values()) if entry.seen_by(viewer)]
 
     def get(self, name: str, viewer: str | None = None) -> AvatarEntry:
-        """The avatar ``name``; refuses an unknown one, and one that ``viewer`` may not know of."""
+        """Returns the entry of the avatar with the id ``name``. Refuses (``NotFound``) an unknown one, and one that the
+        key ``viewer`` may not see."""
         entry = self._entries.get(name)
         if entry is None or not entry.seen_by(viewer):
-            ids = sorted(one.id for one in self.visible(viewer))
+            ids = sorted(other.id for other in self.visible(viewer))
             known = ", ".join(ids[:20]) or "none yet"
             cure = did_you_mean(name, ids, "GET /avatars lists them; POST /avatars adds one.")
             raise NotFound("avatar", expected=f"one of: {known}", got=name[:120], cure=cure)
         return entry
 
     def add(self, file: Path, source: Path, owner: str | None, own: OwnFiles | None = None) -> AvatarEntry:
-        """Puts the avatar stored at ``file`` in service and returns its entry; both files move into the folder.
+        """Moves files of an avatar into the folder of the key ``owner``, puts it in service and returns its entry.
 
-        ``source`` is the user's file that it was read from. ``own``: its own clothes, if these were made garments.
+        ``file`` is that of its wearer, ``source`` the one that the user sent, ``own`` its own clothes, None if they
+        were not to become garments.
         """
         wearer = load_wearer(file, self._body)
         name = wearer.name
@@ -154,16 +160,16 @@ class Avatars:
             name = f"{name}-{hashlib.sha256(f'{owner} {wearer.digest}'.encode()).hexdigest()[:8]}"
         elif (namesake := self._entries.get(name)) is not None and namesake.facts.digest != wearer.digest:
             name = f"{name}-{wearer.digest[:8]}"
-        return self._stored(name, file, source, owner, wearer, own)
+        return self._store(name, file, source, owner, wearer, own)
 
-    def replaced(self, entry: AvatarEntry, file: Path, own: OwnFiles | None = None) -> AvatarEntry:
-        """Puts the file ``file``, in which joints or parts were corrected, in the place of that of ``entry``. Returns
-        the new entry."""
+    def replace(self, entry: AvatarEntry, file: Path, own: OwnFiles | None = None) -> AvatarEntry:
+        """Replaces the wearer of ``entry`` by that in ``file``, whose joints or parts were corrected, and its garments
+        by ``own``. Returns the new entry, with the same id."""
         wearer = load_wearer(file, self._body)
         self._undress(entry.id)
-        return self._stored(entry.id, file, entry.source, entry.owner, wearer, own)
+        return self._store(entry.id, file, entry.source, entry.owner, wearer, own)
 
-    def _stored(
+    def _store(
         self, name: str, file: Path, source: Path, owner: str | None, wearer: Wearer, own: OwnFiles | None
     ) -> AvatarEntry:
         folder = garment_files.folder_of(self._root, owner)
@@ -181,30 +187,31 @@ class Avatars:
         text = json.dumps({"id": name, "told": entry.facts.model_dump(), "owner": owner})
         garment_files.replace_text(entry.path.with_suffix(".json"), text)
         self._entries[name] = entry
-        if own is not None:  # it is worn at once, and nothing is read again
-            with self._one:
+        if own is not None:  # it will wear them soon, so they stay in memory
+            with self._lock:
                 self._dress_up(name, wearer).own = tuple(map(entry.wearing, garments))
         return entry
 
     def remove(self, entry: AvatarEntry) -> None:
-        """Takes ``entry`` off the disk and out of service."""
+        """Deletes the files of ``entry`` and takes it out of service."""
         self._entries.pop(entry.id, None)
         for path in (entry.path.with_suffix(".json"), entry.path, entry.source, *entry.own_files()):
             path.unlink(missing_ok=True)
         self._undress(entry.id)
 
     def _undress(self, name: str) -> None:
-        with self._one:
+        with self._lock:
             self._worn.pop(name, None)
 
-    # --- what it wears ---
+    # --- garments that an avatar wears ---
 
     def wearer(self, name: str) -> Wearer:
-        """The wearer of the avatar ``name``; from any thread."""
+        """Returns the body, rig and surface of the avatar with the id ``name``, read from its file unless they are in
+        memory. Any thread may call it. Refuses (``NotFound``) an unknown avatar, and one whose file cannot be read."""
         return self._dressed(name).wearer
 
     def _dressed(self, name: str) -> _Dressed:
-        with self._one:
+        with self._lock:
             if name not in self._worn:
                 self._dress_up(name, self._stored_wearer(self._entries.get(name) or self.get(name)))
             self._worn.move_to_end(name)
@@ -217,7 +224,7 @@ class Avatars:
         return self._worn[name]
 
     def _stored_wearer(self, entry: AvatarEntry) -> Wearer:
-        """The wearer in the file of ``entry``, which is set aside where that cannot be read."""
+        """Returns the wearer in the file of ``entry``, which is taken out of service if that cannot be read."""
         try:
             return load_wearer(entry.path, self._body)
         except ArtifactError as error:
@@ -226,51 +233,54 @@ class Avatars:
             raise NotFound(error.name, expected=error.expected, got=error.got, cure=error.cure) from error
 
     def _own(self, path: Path, wearer: Wearer) -> Garment:
-        """The checked garment of the cache ``path``, which ``wearer`` came in."""
+        """Returns the checked garment of the cache ``path``, made from the own clothes of ``wearer``."""
         garment = load_garment(path)
         check_garment(garment, body_of(garment, wearer, self._body), max_vertices=self._settings.max_vertices)
         return garment
 
     def own(self, name: str) -> tuple[Entry, ...]:
-        """The garments that the avatar ``name`` came in, the innermost first; from any thread."""
+        """Returns the entries of the garments made from the own clothes of the avatar ``name``, the innermost first.
+        Any thread may call it."""
         entry, dressed = self._entries.get(name) or self.get(name), self._dressed(name)
         if dressed.own is None:
-            paths = [entry.path.with_name(f"{one.garment}.npz") for one in entry.facts.alive or ()]
+            paths = [entry.path.with_name(f"{own.garment}.npz") for own in entry.facts.alive or ()]
             dressed.own = tuple(entry.wearing(self._own(path, dressed.wearer)) for path in paths)
         return dressed.own
 
     def own_garment(self, garment_id: str, viewer: str | None) -> Entry | None:
-        """Returns the garment ``garment_id`` of the clothes that an avatar came in; None if there is none that the key
-        ``viewer`` may know of."""
+        """Returns the entry of the garment ``garment_id`` if it was made from the own clothes of an avatar that the key
+        ``viewer`` may see; otherwise None."""
         name, mark, _ = garment_id.partition(MARK)
         entry = self._entries.get(name) if mark else None
         if entry is None or not entry.seen_by(viewer):
             return None
-        return next((one for one in self.own(name) if one.id == garment_id), None)
+        return next((own for own in self.own(name) if own.id == garment_id), None)
 
     def with_own(self, name: str, scene: Scene | None) -> Scene:
-        """Returns ``scene`` with the garments that the avatar ``name`` came in, below and over those of ``scene``, but
-        without those that these replace.
+        """Returns ``scene`` with the avatar's own garments below and over it, but for those that garments of ``scene``
+        replace, as they lie on the same half of the body. None is a scene without garments.
 
-        Refuses (``TooLarge``) more layers than are taken, and an avatar none of whose clothes is cloth, if ``scene`` is
-        None.
+        Refuses (``TooLarge``) more layers than ``DRAPE_MAX_LAYERS``, and (``NotFound``) a scene without any garment.
         """
         layers: tuple[Entry, ...] = () if scene is None else scene.layers
-        own = {one.garment.digest: one for one in self.own(name) if one not in layers}
-        sides = dressed_in([one.garment for one in own.values()], self._halves(layers))
-        below, over = ([own[one.digest] for one in side] for side in sides)
+        own = {entry.garment.digest: entry for entry in self.own(name) if entry not in layers}
+        sides = dressed_in([entry.garment for entry in own.values()], self._halves(layers))
+        below, over = ([own[garment.digest] for garment in side] for side in sides)
         worn = [*below, *layers, *over]
         limit = self._settings.max_layers
         if len(worn) > limit:
             cure = "Name fewer garments, or leave alive out."
             raise TooLarge("garments", expected=f"at most {limit} layers", got=str(len(worn)), cure=cure)
         if not worn:
-            cure = "Send the character with alive=true; GET /avatars/ID tells in `stiff` what is no cloth."
-            raise NotFound("alive", expected="clothes of its own that are cloth", got="none", cure=cure)
+            cure = "Upload the character with alive=true; `stiff` of GET /avatars/ID says what did not become cloth."
+            raise NotFound("alive", expected="an avatar with garments of its own", got="none", cure=cure)
         return Outfit(tuple(worn)) if len(worn) > 1 or isinstance(scene, Outfit) else worn[0]
 
     def dress(self, name: str, scene: Scene) -> Scene:
-        """The garments of ``scene`` cut for the avatar ``name``; seconds for each that it never wore."""
+        """Returns ``scene`` with each garment cut for the avatar ``name``. Each that it has not worn yet takes seconds.
+
+        Refuses (``BodyError``, ``InputError``) a garment that it cannot wear, as ``why_not`` and ``check_own`` say.
+        """
         dressed = self._dressed(name)
         for layer in scene.layers:
             if OWN in layer.garment.manifest:
@@ -282,14 +292,14 @@ class Avatars:
         return Outfit(layers) if isinstance(scene, Outfit) else layers[0]
 
     def wears(self, name: str, entries: Sequence[Entry]) -> dict[str, str | None]:
-        """Returns for each of ``entries``, by its id, why the avatar ``name`` cannot wear it; None if it can. ``dress``
-        refuses the same ones and no others."""
+        """Returns for each of ``entries``, by its id, the sentence why the avatar ``name`` cannot wear it; None if it
+        can. ``dress`` refuses the same garments."""
         body = self.wearer(name).body
-        found = {entry.id: why_not(body, self._reach(entry), garment=entry.id) for entry in entries}
-        return {key: None if refusal is None else str(refusal) for key, refusal in found.items()}
+        refusals = {entry.id: why_not(body, self._reach(entry), garment=entry.id) for entry in entries}
+        return {key: None if refusal is None else str(refusal) for key, refusal in refusals.items()}
 
     def look_at(self, entries: Sequence[Entry]) -> None:
-        """Finds where ``entries`` lie on a body, which ``wears`` asks of all of them."""
+        """Computes which parts of a body ``entries`` reach and keeps that in memory, where ``wears`` reads it."""
         for entry in entries:
             self._reach(entry)
 
@@ -307,7 +317,7 @@ class Avatars:
 
 
 def check_own(layer: Entry, name: str) -> None:
-    """Refuses (``InputError``) a garment of the clothes that another avatar than ``name`` came in."""
+    """Refuses (``InputError``) ``layer``, a garment made from an avatar's own clothes, for another avatar ``name``."""
     owner = layer.id.partition(MARK)[0]
     if owner != name:
         cure = "Upload it as a garment to wear it on others."
@@ -315,7 +325,7 @@ def check_own(layer: Entry, name: str) -> None:
 
 
 class _Dressed:
-    """An avatar with its stages and the garments that were cut for it, for each of its bodies."""
+    """An avatar in memory: its wearer, the stages of each of its bodies by digest, and the garments cut for it."""
 
     def __init__(
         self, wearer: Wearer, stages_on: Callable[[BodyModel], BodyStages], standard: BodyModel, make: Make
@@ -323,12 +333,12 @@ class _Dressed:
         self.wearer, self._stages_on, self._standard, self._make = wearer, stages_on, standard, make
         self.stages: dict[str, BodyStages] = {wearer.body.digest: stages_on(wearer.body)}
         self._cut: dict[str, Entry] = {}
-        self.own: tuple[Entry, ...] | None = None  # the garments that it came in, once they are read
-        self._one = threading.Lock()
+        self.own: tuple[Entry, ...] | None = None  # the garments of its own clothes, once they are read
+        self._lock = threading.Lock()
 
     def cut(self, entry: Entry, halves: Halves) -> Entry:
-        """``entry`` for this avatar, among garments that lie on these ``halves``."""
-        with self._one:
+        """Returns ``entry`` cut for this avatar. All garments of the scene together lie on ``halves`` of the body."""
+        with self._lock:
             go_on()
             if halves == (True, False) and self.wearer.over is None:
                 self.wearer = replace(self.wearer, over=self._make(upper_body, self.wearer))

@@ -1,8 +1,8 @@
-"""The process of ``ConstantsProcess``: ``python -m service.compute.constants_calls``.
+"""The program of ``ConstantsProcess``: ``python -m service.compute.constants_calls``.
 
-Calls come in on its standard input, pickled, results go out on its standard output, and it ends where that ends. Arrays
-travel beside the pickles, uncopied, with the interpreter lock released. It reads no more of the service than that,
-since it starts while an upload runs.
+It reads pickled calls from its standard input and writes their results to its standard output, until the input ends.
+Arrays travel beside the pickles, uncopied, with the interpreter lock released. It imports little of the service,
+because it starts while an upload runs.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ COUNT = struct.Struct("<Q")
 
 
 def send(file: IO[bytes], thing: Any) -> None:
-    """Writes ``thing`` for ``receive``: its pickle, and the memory of its arrays."""
+    """Writes ``thing`` to ``file`` as ``receive`` reads it: its pickle, and the memory of its arrays beside it."""
     buffers: list[pickle.PickleBuffer] = []
-    parts = [pickle.dumps(thing, protocol=5, buffer_callback=buffers.append), *(one.raw() for one in buffers)]
+    parts = [pickle.dumps(thing, protocol=5, buffer_callback=buffers.append), *(array.raw() for array in buffers)]
     file.write(COUNT.pack(len(parts)))
     for part in parts:
         file.write(COUNT.pack(len(part)))
@@ -31,7 +31,7 @@ def send(file: IO[bytes], thing: Any) -> None:
 
 
 def receive(file: IO[bytes]) -> Any:
-    """The thing that ``send`` wrote; ``EOFError`` where nothing more comes."""
+    """Returns the next object that ``send`` wrote to ``file``. Raises ``EOFError`` at its end."""
     text, *buffers = [_read(file, _number(file)) for _ in range(_number(file))]
     return pickle.loads(text, buffers=buffers)
 
@@ -41,30 +41,30 @@ def _number(file: IO[bytes]) -> int:
 
 
 def _read(file: IO[bytes], size: int) -> bytearray:
-    place = bytearray(size)
-    into = memoryview(place)
-    while into:
-        taken = file.readinto(into)  # pyright: ignore[reportAttributeAccessIssue]
-        if not taken:
+    content = bytearray(size)
+    rest = memoryview(content)
+    while rest:
+        count = file.readinto(rest)  # pyright: ignore[reportAttributeAccessIssue]
+        if not count:
             raise EOFError
-        into = into[taken:]
-    return place
+        rest = rest[count:]
+    return content
 
 
-def _read_before() -> None:
-    """Imports what makes the constants of a garment, before it is called."""
+def _import_early() -> None:
+    """Imports the modules that make the constants of a garment, so that the first call need not wait for them."""
     import drape.graph.feeds
     import drape.live.swing_constants
     import drape.live.two_level  # noqa: F401
 
 
 def main() -> None:
-    """Answers calls, pickled on standard input, until that ends: on standard output, whether each came off, and what
-    its function returned or raised."""
+    """Answers calls (function, arguments, named arguments) from standard input until that ends. An answer on standard
+    output is (True, what the function returned) or (False, the exception that it raised)."""
     step_back()
-    _read_before()
+    _import_early()
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what is printed is no answer
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # so that no printed text gets between the answers
     with contextlib.suppress(EOFError):
         while True:
             function, arguments, named = receive(sys.stdin.buffer)

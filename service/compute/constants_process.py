@@ -1,8 +1,7 @@
 """A process of its own for tables and constants that are made beside streams: ``ConstantsProcess``.
 
 Making them holds the interpreter lock for tens of milliseconds at a time, and a frame asks for that lock some fifty
-times.
-``service.compute.constants_calls`` is that process.
+times. The process runs ``service.compute.constants_calls``.
 """
 
 from __future__ import annotations
@@ -23,28 +22,29 @@ log = logging.getLogger("drape.service")
 
 
 class ConstantsProcess:
-    """Calls functions of modules in a process of its own while that is ``wanted``, and otherwise in this process. Of
-    calls beside each other one is made here then, and the others there if that process runs: two processors work.
+    """Calls functions of modules in another process while ``wanted()`` is true, and otherwise in this process.
 
-    The process is started when it is first wanted, or by ``begin``. It makes one call at a time, for any thread.
+    If the other process runs already, only one call at a time is made in this one, and calls beside it in the other: so
+    two processors work. The other process is started by ``begin``, or when it is first wanted. It makes one call at a
+    time. Any thread may call.
     """
 
     def __init__(self, wanted: Callable[[], bool]) -> None:
         self._wanted = wanted
-        self._one, self._here = threading.Lock(), threading.Lock()
+        self._there, self._here = threading.Lock(), threading.Lock()
         self._process: Process | None = None
 
     def begin(self) -> None:
-        """Starts the process, which takes a second, before it is needed."""
-        if self._one.acquire(blocking=False):  # another thread that has it starts the process itself
+        """Starts the process, which takes a second, so that a later call need not wait for it."""
+        if self._there.acquire(blocking=False):  # a thread that holds the lock starts the process itself
             try:
-                self._started()
+                self._running()
             finally:
-                self._one.release()
+                self._there.release()
 
     def call(self, function: Callable[P, Result], *arguments: P.args, **named: P.kwargs) -> Result:
-        """Returns ``function(*arguments, **named)`` as the process computes it, or raises what it raised. If the
-        process is lost, the call is made here."""
+        """Returns ``function(*arguments, **named)``, computed in either process, or raises what the function raised. If
+        the other process is lost, the call is made in this one."""
         if not self._wanted():
             if self._process is None:
                 return function(*arguments, **named)
@@ -56,11 +56,12 @@ class ConstantsProcess:
         return self.call_there(function, *arguments, **named)
 
     def call_there(self, function: Callable[P, Result], *arguments: P.args, **named: P.kwargs) -> Result:
-        """Returns what ``call`` does, made in the process in any case: what the function keeps is kept there too."""
+        """Returns what ``call`` does, computed in the other process even if that is not wanted: so caches that the
+        function fills are filled there."""
         try:
             waits_for(self._spent_s)
-            with self._one:
-                succeeded, result = self._asked((function, arguments, named))
+            with self._there:
+                succeeded, result = self._answer((function, arguments, named))
         except (OSError, EOFError):
             log.warning("the process of constants ended; its call is made in the service")
             return function(*arguments, **named)
@@ -72,8 +73,8 @@ class ConstantsProcess:
         process = self._process
         return 0.0 if process is None else spent_s(process.pid)
 
-    def _asked(self, call: Any) -> tuple[bool, Any]:
-        process = self._started()
+    def _answer(self, call: Any) -> tuple[bool, Any]:
+        process = self._running()
         assert process.stdin is not None and process.stdout is not None
         try:
             send(process.stdin, call)
@@ -82,7 +83,7 @@ class ConstantsProcess:
             self._end()
             raise
 
-    def _started(self) -> Process:
+    def _running(self) -> Process:
         if self._process is None:
             self._process = start_process("service.compute.constants_calls")
         return self._process
@@ -94,12 +95,12 @@ class ConstantsProcess:
         kill(process)
         process.wait()
         for file in (process.stdin, process.stdout):
-            with contextlib.suppress(OSError):  # what was not sent
+            with contextlib.suppress(OSError):  # closing writes what is still buffered, which nobody reads
                 file.close()  # pyright: ignore[reportOptionalMemberAccess]
 
     def close(self) -> None:
-        """Ends the process. A call that it was making is made in the process that asked."""
+        """Ends the other process. A call that it was making is made in this process."""
         if (process := self._process) is not None:
             kill(process)
-        with self._one:
+        with self._there:
             self._end()

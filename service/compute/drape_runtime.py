@@ -1,4 +1,4 @@
-"""``DrapeRuntime``: what a start loads, and plans and poses of clients made into frames (``drape.stages``)."""
+"""``DrapeRuntime``: all that the start of a service loads, and the computing of frames (``drape.stages``)."""
 
 from __future__ import annotations
 
@@ -52,20 +52,23 @@ log = logging.getLogger("drape.service")
 
 
 def open_lane(driver: str = DRIVER) -> Lanes | None:
-    """Returns what ``open_lanes`` does. A card that cannot be used is told in the log."""
-    found = open_lanes(driver)
-    for lane in () if found is None else found.lanes:
+    """Returns the lanes of this machine's graphics cards, opened by the library ``driver``; None without the extra
+    ``cuda``. Logs each card, or why it cannot be used."""
+    lanes = open_lanes(driver)
+    for lane in () if lanes is None else lanes.lanes:
         if lane.works:
             log.info("card: frames by %s", lane.card)
         else:
             log.warning("card: %s", lane.fault)
-    return found
+    return lanes
 
 
 class DrapeRuntime(Runtime):
-    """Everything that a start loads: body, model, garments, clips, and the threads that compute.
+    """Everything that the start of a service loads: body, model, garments, avatars, clips, and the threads that
+    compute.
 
-    The constants of garments are made ``at_once``; otherwise when a request first needs them, or by ``prepare_all``.
+    ``body`` and ``engine`` are those that ``settings`` name unless they are given. With ``at_once`` the constants of
+    all garments are made here; otherwise when a request first needs them, or by ``prepare_all``.
     """
 
     def __init__(
@@ -87,7 +90,7 @@ class DrapeRuntime(Runtime):
         self.threads = ComputeThreads(stream_threads=settings.stream_threads, chunk_frames=settings.chunk_frames)
         self.constants_process = ConstantsProcess(lambda: self.threads.streaming)
         make, body = self.constants_process.call, body or load_body(settings.body)
-        # Beside what follows, which waits for that process to start.
+        # The garments are read beside the lines that follow, which wait for a process.
         read = None if at_once else begin_reading(settings, body)
         super().__init__(engine, body, settings, make, open_lane())
         self.garments = Registry(settings, self.worn, make, read)
@@ -99,7 +102,7 @@ class DrapeRuntime(Runtime):
             self.warm_up()
 
     def close(self) -> None:
-        """Waits for the running chunk, and ends threads and processes."""
+        """Waits for the chunk of a clip that is being computed, and ends threads and processes."""
         self.threads.close()
         if self.lane is not None:
             self.lane.close()
@@ -107,8 +110,8 @@ class DrapeRuntime(Runtime):
         self.tracing.close()
 
     def warm_up(self) -> None:
-        """Drapes one frame of one garment, with all that its streams need, so that the first request pays for no
-        set-up."""
+        """Drapes one frame of the first garment with all that streams need, so that the first request is not slower
+        than others."""
         rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros(self.body.shape_count), np.zeros(1))
         for entry in self.garments.entries()[:1]:
             plan = self.plan(entry, DrapeOptions(advanced=Advanced(push_out=True)), messages=True)
@@ -117,17 +120,17 @@ class DrapeRuntime(Runtime):
 
     @property
     def device_bytes(self) -> int:
-        """The memory [bytes] of the garments' constants where the graphs compute."""
+        """The bytes that the garments' constants take on the device that computes."""
         bodies = (self.worn, *self.avatars.worn)
         return sum(stage.held_bytes for body in bodies for stage in body.stages)
 
     @property
     def memory_classes(self) -> tuple[type, ...]:
-        """The classes of all that is remembered of a stream."""
+        """The classes of the values in a stream's memories."""
         return (Idle, *(kind for stage in self.stages for kind in stage.kept))
 
     def check_body_id(self, name: str) -> None:
-        """Refuses a body that this service has not loaded."""
+        """Refuses (``NotFound``) the id of any body but the one that this service has."""
         if name != self.body.name:
             raise NotFound(
                 "body", expected=self.body.name, got=name, cure="GET /bodies lists the bodies of this service."
@@ -136,9 +139,9 @@ class DrapeRuntime(Runtime):
     # --- constants ---
 
     def expect_avatar(self, stage: str, folder: Path, viewer: str | None) -> None:
-        """Makes what the key ``viewer`` will ask of an avatar, beside the ``stage`` that its intake begins: the process
-        of constants while that starts, where garments lie while it reads, and while it makes clothes the skins of the
-        wearer that it has stored in ``folder``, which that process keeps as well."""
+        """Prepares, while the intake of an avatar is in ``stage``, what requests for it will need. "start": starts the
+        process of constants. "read": computes where the garments that the key ``viewer`` may see lie on a body.
+        "cloth": computes skin samples of the wearer that the intake has stored in ``folder``. Others: nothing."""
         if stage == "start":
             self.constants_process.begin()
         elif stage == "read":
@@ -148,10 +151,10 @@ class DrapeRuntime(Runtime):
             keep_skins(load_wearer(file, self.body).body, self.constants_process.call_there)
 
     async def prepare(self, plan: Plan) -> None:
-        """Makes what the plan's stages need, beside the frames that are being computed."""
+        """Makes the constants that the stages of ``plan`` lack, beside frames that are being computed."""
         await self._add(self.on(plan.scene), plan.known)
 
-        # Each is taken by the first of two processors that is free. Those of folds, which take longest, come first.
+        # Two threads share the parts. Those of folds, which take longest, come first.
         rest = reversed([part for stage in plan.stages for part in stage.parts(plan)])
 
         def make() -> None:
@@ -161,8 +164,8 @@ class DrapeRuntime(Runtime):
         await asyncio.gather(*(asyncio.to_thread(make) for _ in range(2)))
 
     async def prepare_all(self) -> None:
-        """Makes the constants of the garments that nobody has asked for yet, one garment after the other, beside
-        frames. Of the first one it makes all that streams need."""
+        """Adds all garments to the stages that lack them, one after the other, beside frames that are being computed.
+        Of the first it makes all constants that streams need. A garment that is refused is logged and passed over."""
         for number, entry in enumerate(self.garments.entries()):
             try:
                 plan = self.plan(entry, DrapeOptions(), messages=True)
@@ -171,7 +174,7 @@ class DrapeRuntime(Runtime):
                 log.warning("garment %s: %s", entry.id, error)
 
     async def _add(self, worn: BodyStages, entries: Sequence[Entry]) -> None:
-        if not worn.missing(entries):  # whoever needs nothing waits for nobody
+        if not worn.missing(entries):  # a request that lacks nothing need not wait for the lock
             return
         async with self._adding:
             missing = worn.missing(entries)
@@ -180,57 +183,56 @@ class DrapeRuntime(Runtime):
                 await self.threads.aside(worn.add, garment, feed)
 
     async def call_apart(self, function: Callable[..., Result], *arguments: object, **named: object) -> Result:
-        """Returns ``function(*arguments, **named)``, a function of a module, computed for one client on a thread of
-        ``ComputeThreads.apart``, in the process of ``ConstantsProcess.call``."""
+        """Returns ``function(*arguments, **named)``, which takes long for one client, as ``ConstantsProcess.call``
+        computes it, on a thread of ``ComputeThreads.apart``. ``function`` belongs to a module, so it can be pickled."""
         return await self.threads.apart(lambda: self.constants_process.call(function, *arguments, **named))
 
     # --- frames ---
 
     async def stream_frames(self, plan: Plan, inputs: Sequence[PoseInput]) -> list[tuple[bytes | DrapeError, Memories]]:
-        """Returns for each of ``inputs``, of one frame each, its message or its refusal, and the memories that it
-        leaves.
+        """Returns for each of ``inputs``, which have one frame each, its message or its refusal, and the memories for
+        the stream's next frame.
 
-        Nothing is computed for bodies that stand still (``drape.stages.encode``).
+        For a body that stands still, with cloth at rest, no frame is computed (``drape.stages.encode``).
         """
         self.threads.streamed_s = time.monotonic()
-        idle = [idle_before(plan, one) for one in inputs]
-        found = [answer_again(plan, one, before) for one, before in zip(inputs, idle, strict=True)]
-        changed = [(one, before) for one, before, again in zip(inputs, idle, found, strict=True) if again is None]
-        computed = iter(await self.threads.for_streams(self._computed, plan, changed) if changed else ())
-        return [next(computed) if answer is None else answer for answer in found]
+        idle = [idle_before(plan, pose) for pose in inputs]
+        answers = [answer_again(plan, pose, before) for pose, before in zip(inputs, idle, strict=True)]
+        changed = [(pose, before) for pose, before, again in zip(inputs, idle, answers, strict=True) if again is None]
+        computed = iter(await self.threads.for_streams(self._compute, plan, changed) if changed else ())
+        return [next(computed) if answer is None else answer for answer in answers]
 
-    def _computed(
+    def _compute(
         self, plan: Plan, poses: Sequence[tuple[PoseInput, Idle | None]]
     ) -> list[tuple[bytes | DrapeError, Memories]]:
-        """``stream_frames`` of bodies that move, and of those that are idle but have not come to rest.
+        """Returns what ``stream_frames`` does, for ``poses`` that must be computed, each with its ``idle_before``.
 
-        A batch that fails is tried again one by one, so that no frame fails with another. A frame that fails leaves the
-        memories as they were.
+        A batch that fails is computed again one by one, so that no frame fails with another. A frame that fails leaves
+        the memories as they were.
         """
         say_moved()
-        inputs = [one for one, _ in poses]
+        inputs = [pose for pose, _ in poses]
         try:
             *_, batch = self._walk(plan, inputs)
         except Exception as error:
             if len(poses) > 1:
-                return [self._computed(plan, [pose])[0] for pose in poses]
+                return [self._compute(plan, [pose])[0] for pose in poses]
             if not isinstance(error, DrapeError):
                 log.exception("a stream frame failed")
             return [(error if isinstance(error, DrapeError) else InternalError(), inputs[0].memories)]
         return [
-            (message, remember(plan, one, before, memories, message))
-            for (one, before), message, memories in zip(poses, batch.messages, batch.memories, strict=True)
+            (message, remember(plan, pose, before, memories, message))
+            for (pose, before), message, memories in zip(poses, batch.messages, batch.memories, strict=True)
         ]
 
     async def drape(self, plan: Plan, clip: PoseInput) -> Batch:
-        """The draped clip, chunk by chunk."""
+        """Returns the batch of all frames of ``clip``, draped by ``plan``. Refuses as ``ComputeThreads.in_chunks``."""
         parts = [part async for part in self.parts(plan, clip)]
-        if len(parts) == 1:
-            return parts[0]
         return await asyncio.to_thread(Batch.of_parts, clip, parts)
 
     async def parts(self, plan: Plan, clip: PoseInput) -> AsyncIterator[Batch]:
-        """The draped clip, a chunk at a time; the next is begun when whoever asks has taken the last."""
+        """Yields the frames of ``clip``, draped by ``plan``, as a batch for each chunk. A chunk is begun when the
+        caller asks for it."""
         await self.prepare(plan)
         memories = clip.memories
 
@@ -244,13 +246,13 @@ class DrapeRuntime(Runtime):
             yield part
 
     def _walk(self, plan: Plan, inputs: Sequence[PoseInput]) -> Iterator[Batch]:
-        """``drape.stages.walk.walk``, measured."""
-        done = Quality.untouched(0)
+        """Yields what ``drape.stages.walk.walk`` does, and counts stages and frames in the metrics."""
+        quality = Quality.untouched(0)
         for batch in walk(plan, inputs, self._took):
             say_moved()
-            done = batch.quality
+            quality = batch.quality
             yield batch
-        self.metrics.drawn(done.pushed_share, done.push_max_m, done.left_m, done.folds_resets)
+        self.metrics.count_drawn(quality.pushed_share, quality.push_max_m, quality.left_m, quality.folds_resets)
 
     def _took(self, stage: str, took_s: float) -> None:
         self._stage_times(stage).observe(took_s)
@@ -258,7 +260,8 @@ class DrapeRuntime(Runtime):
             self.tracing.stage(stage, took_s)
 
     async def pose_body(self, clip: PoseInput, wearer: Wearer | None = None) -> np.ndarray:
-        """World vertices [m] (F, Vb, 3) float32 of the body, or of the surface of a ``wearer``."""
+        """Returns the world vertices [m] (F, V, 3) float32 of the body in the frames of ``clip``, or those of the
+        surface of ``wearer``."""
         pose = partial(self.body.posed_vertices, betas=clip.betas) if wearer is None else wearer.posed
 
         def compute(rows: slice) -> Iterator[np.ndarray]:
@@ -269,12 +272,13 @@ class DrapeRuntime(Runtime):
 
 
 def _engine(settings: Settings) -> Engine:
-    """The model that ``settings`` name, opened where they say."""
+    """Returns the model that ``settings`` name, opened on their device."""
     return Engine(model_folder(settings.model), device=Device(settings.provider, settings.threads))
 
 
 class Motions:
-    """The clips of one folder, read at the start; an unreadable one stops it."""
+    """The sample clips, npz files in ``folder``, by their ids. Raises what ``read_motion`` raises of an unreadable one,
+    which stops the start."""
 
     def __init__(self, folder: Path) -> None:
         self._clips = {path.stem: read_motion(path) for path in sorted(folder.glob("*.npz"))}
@@ -283,13 +287,13 @@ class Motions:
         return list(self._clips)
 
     def get(self, name: str) -> MotionClip:
-        """The clip ``name``; refuses an unknown one."""
+        """Returns the clip with the id ``name``. Refuses (``NotFound``) an unknown one."""
         if name not in self._clips:
             cure = did_you_mean(name, self.ids(), "GET /motions lists the clips.")
             raise NotFound("motion", expected=f"one of: {', '.join(self.ids())}", got=name, cure=cure)
         return self._clips[name]
 
     def placed(self, name: str, body: BodyModel, betas: np.ndarray) -> MotionClip:
-        """Returns the clip ``name`` with translations that put the soles of ``body`` in the shape ``betas`` on the
-        ground; ``trans`` is what POST /drape takes."""
+        """Returns the clip ``name`` with translations [m] in the world, as POST /drape takes them, that put the soles
+        of ``body`` in the shape ``betas`` (S,) on the ground, y = 0."""
         return place_on_ground(self.get(name), body.rest_joints(betas), floor=body.floor_m(betas))

@@ -1,7 +1,7 @@
-"""Uploaded garments on disk: a cache each, beside it what was changed of it, and whose id is whose.
+"""Files of uploaded garments: a cache each, its ``About`` beside it, and which cache has which id.
 
-Several services may have the same folder: files come whole (``os.replace``), and an id belongs to the garment that
-claimed it first, wherever it was uploaded.
+Several services may share the folder. So files appear whole (``os.replace``), and an id belongs to the cache that
+claimed it first.
 """
 
 from __future__ import annotations
@@ -18,26 +18,24 @@ from drape.errors import ArtifactError
 from drape.stages.scene import UNCHANGED, About
 from service.compute.json_records import parsed_record
 
-OWNED = "of-"  # begins the folder of a key's garments
-IDS = ".ids"  # a file for each id of a garment without owner: the name of the cache that has it
+OWNED = "of-"  # the name of a key's folder begins with it
+IDS = ".ids"  # the folder with a file for each id of a garment without owner, which holds the name of its cache
 
 
 def folder_of(root: Path, owner: str | None) -> Path:
-    """The folder of garments of the key ``owner`` under ``root``."""
+    """Returns the folder under ``root`` for garments of the key ``owner``; ``root`` itself for None."""
     return root if owner is None else root / f"{OWNED}{owner}"
 
 
 def owner_of(path: Path | None) -> str | None:
-    """The key whose folder ``path`` lies in, if it is one."""
+    """Returns the key in whose folder the file ``path`` lies; None where it lies in no key's folder."""
     folder = "" if path is None else path.parent.name
     return folder.removeprefix(OWNED) if folder.startswith(OWNED) else None
 
 
 def list_caches(root: Path) -> dict[Path, tuple[int, int]]:
-    """Every cache under ``root`` with the times [ns] at which it and its ``About`` were written (0: it has none).
-
-    In the order of arrival, so that ids given to equal names stay the same.
-    """
+    """Returns every cache under ``root`` with the times [ns since 1970] at which it and its ``About`` were written (0:
+    it has none), the oldest cache first. The order keeps ids of equal names the same at every start."""
     rows: list[tuple[int, str, Path, int]] = []
     for path in (*root.glob("*.npz"), *root.glob(f"{OWNED}*/*.npz")):
         written_ns = _written_ns(path)
@@ -47,10 +45,10 @@ def list_caches(root: Path) -> dict[Path, tuple[int, int]]:
 
 
 def list_avatar_facts(root: Path) -> dict[Path, int]:
-    """Returns every file under ``root`` that holds the facts of an avatar, with the time [ns] at which it was written;
-    the oldest first."""
-    written = ((path, _written_ns(path)) for path in (*root.glob("*.json"), *root.glob(f"{OWNED}*/*.json")))
-    return dict(sorted((one for one in written if one[1]), key=lambda one: one[1]))
+    """Returns every file under ``root`` that holds the facts of an avatar, with the time [ns since 1970] at which it
+    was written, the oldest first."""
+    rows = ((_written_ns(path), path) for path in (*root.glob("*.json"), *root.glob(f"{OWNED}*/*.json")))
+    return {path: written_ns for written_ns, path in sorted(rows) if written_ns}
 
 
 def _written_ns(path: Path) -> int:
@@ -61,24 +59,24 @@ def _written_ns(path: Path) -> int:
 
 
 def file_sizes(folders: Iterable[Path]) -> list[int]:
-    """Bytes of every cache, and of every file of an avatar, directly in ``folders``."""
-    bytes_each: list[int] = []
+    """Returns the sizes in bytes of the caches and avatars' files that lie directly in ``folders``."""
+    sizes: list[int] = []
     for path in (path for folder in folders for kind in ("*.npz", "*.glb") for path in folder.glob(kind)):
         try:
-            bytes_each.append(path.stat().st_size)
+            sizes.append(path.stat().st_size)
         except FileNotFoundError:  # removed meanwhile
             continue
-    return bytes_each
+    return sizes
 
 
 def about_path(path: Path) -> Path:
-    """The file that holds the ``About`` of the cache ``path``."""
+    """Returns the path of the file for the ``About`` of the cache ``path``."""
     return path.with_suffix(".about.json")
 
 
 def read_about(path: Path) -> About:
-    """Returns the ``About`` of the cache ``path``: what its owner changed. Refuses (``ArtifactError``) a file that
-    holds none."""
+    """Returns the ``About`` of the cache ``path``: its title and whether it is published; ``UNCHANGED`` if there is no
+    such file. Refuses (``ArtifactError``) a file that holds something else."""
     try:
         return parsed_record(About, about_path(path))
     except FileNotFoundError:
@@ -90,12 +88,12 @@ def read_about(path: Path) -> About:
 
 
 def write_about(path: Path, about: About) -> None:
-    """Stores ``about`` beside the cache ``path``, whole or not at all."""
+    """Writes ``about`` to a file beside the cache ``path``, whole or not at all."""
     replace_text(about_path(path), json.dumps(asdict(about)))
 
 
 def remove_cache(path: Path, claimed: str) -> None:
-    """Takes the cache ``path``, its ``About`` and its claim on the id ``claimed`` off the disk, if they are there."""
+    """Deletes the cache ``path``, its ``About`` and its claim on the id ``claimed``, as far as they exist."""
     path.unlink(missing_ok=True)
     about_path(path).unlink(missing_ok=True)
     mine = path.parent / IDS / claimed
@@ -105,23 +103,21 @@ def remove_cache(path: Path, claimed: str) -> None:
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Writes ``text`` to ``path``, of which a reader sees all or nothing."""
+    """Writes ``text`` to ``path`` so that other processes read the old text or the whole new one."""
     fresh = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.new")
     fresh.write_text(text, encoding="utf-8")
     os.replace(fresh, path)
 
 
 def claim(path: Path, wanted: str) -> bool:
-    """Claims the id ``wanted`` for the cache ``path``, and returns whether it is that cache's from now on.
-
-    It is if nobody has it, if the cache itself has it, or if the cache that has it is gone.
-    """
+    """Claims the id ``wanted`` for the cache ``path``. Returns whether the cache has the id from now on: if no cache
+    had it, this one had it already, or the one that had it is gone."""
     folder = path.parent / IDS
     folder.mkdir(exist_ok=True)
     mine, fresh = folder / wanted, folder / f"{uuid.uuid4().hex}.new"
     fresh.write_text(path.name, encoding="utf-8")
     try:
-        os.link(fresh, mine)  # with what it says, or not at all
+        os.link(fresh, mine)  # the file appears with its text, or not at all
         return True
     except FileExistsError:
         holder = mine.read_text(encoding="utf-8", errors="replace")[:200].replace("\0", "")

@@ -34,10 +34,11 @@ log = logging.getLogger("drape.service")
 
 
 class Registry:
-    """The garments in service by their ids.
+    """The garments in service by their ids, shipped and uploaded ones, as ``Entry``.
 
-    ``read`` returns the garment of a file; with it the stages get a garment's constants when it is first asked for, and
-    without it at once. Shipped caches must load. An uploaded one that does not is set aside and named in /health.
+    ``read`` returns the garment of a cache file. With it the stages of the standard body, ``worn``, get a garment's
+    constants when it is first asked for; without it the start makes them. ``make`` calls a function that takes long.
+    A shipped cache that cannot be read stops the start; an uploaded one is left out and named in ``refused``.
     """
 
     def __init__(
@@ -52,26 +53,26 @@ class Registry:
         self._entries: dict[str, Entry] = {}
         self.refused: list[str] = []
         self.others: Callable[[str, str | None], Entry | None] = lambda name, viewer: None
-        """Garments that are worn by one avatar alone and in no list, by id and who asks."""
+        """Looks up garments that only one avatar wears and that no list has, by id and the key that asks."""
         for path in _shipped(settings):
             self.add(take(path), "shipped")
         for path in garment_files.list_caches(settings.garments_dir):
             try:
                 self.add(take(path), "user", path)
-            except Exception as error:  # whatever lies there, the start goes on
+            except Exception as error:  # no uploaded file may stop the start
                 self.refused.append(set_aside(path, error))
 
     def entries(self) -> list[Entry]:
-        """All garments, shipped ones first."""
+        """Returns all garments in service, shipped ones first."""
         return list(self._entries.values())
 
     def visible(self, viewer: str | None) -> list[Entry]:
-        """Returns the garments that the key ``viewer`` may know of."""
+        """Returns the garments that the key ``viewer`` may see: shipped ones, published ones and its own."""
         return [entry for entry in self.entries() if entry.seen_by(viewer)]
 
     def get(self, name: str, viewer: str | None = None) -> Entry:
-        """Returns the garment with the id ``name``. Refuses (``NotFound``) an unknown one, and one that the key
-        ``viewer`` may not know of."""
+        """Returns the entry of the garment with the id ``name``. Refuses (``NotFound``) an unknown one, and one that
+        the key ``viewer`` may not see."""
         entry = self._entries.get(name) or self.others(name, viewer)
         if entry is None or not entry.seen_by(viewer):
             ids = sorted(entry.id for entry in self.visible(viewer))
@@ -83,8 +84,8 @@ class Registry:
     def scene(self, garment: str | None, garments: Sequence[str] | None, viewer: str | None = None) -> Scene:
         """Returns the scene of one ``garment``, or of ``garments`` worn over each other, the innermost first.
 
-        Refuses both and neither, an unknown garment, one that is named twice, and more layers than
-        ``DRAPE_MAX_LAYERS``.
+        Refuses both and neither (``InputError``), an unknown garment (``NotFound``), one that is named twice, and more
+        layers than ``DRAPE_MAX_LAYERS`` (``TooLarge``).
         """
         if garment is not None and garments is not None:
             cure = "Name one garment, or the layers of an outfit."
@@ -103,7 +104,8 @@ class Registry:
         return Outfit(entries)
 
     def prepare(self, path: Path) -> Garment:
-        """The checked garment of the cache ``path``, safely beside frames."""
+        """Returns the garment of the cache ``path``, read beside frames that are computed. Refuses as
+        ``check_garment`` does."""
         garment = self._make(_read, path, self._worn.body, self._settings.max_vertices)
         if self._at_once:
             self._worn.add(garment, self._worn.feed(garment))
@@ -112,8 +114,8 @@ class Registry:
     def add(self, garment: Garment, source: Source, path: Path | None = None) -> Entry:
         """Puts ``garment``, which ``prepare`` has checked, in service and returns its entry.
 
-        Its id is its name, or name and digest if that is taken. ``path`` is where it is stored. In the folder of a key
-        it belongs to that key, and its id tells nothing of others.
+        Its id is its name, or name and digest if another garment has that id. ``path`` is its cache, None for a shipped
+        one. A cache in the folder of a key belongs to that key; its id then does not depend on other keys' garments.
         """
         about = UNCHANGED if path is None else garment_files.read_about(path)
         owner = garment_files.owner_of(path)
@@ -129,30 +131,32 @@ class Registry:
         return entry
 
     def change(self, entry: Entry, *, name: str | None, published: bool | None) -> Entry:
-        """Returns ``entry`` with another ``name`` or ``published``, changed on disk and in service."""
+        """Changes the name of ``entry`` and whether it is published, on disk and in service; None keeps the value.
+        Returns the new entry."""
         assert entry.path is not None
         title = entry.about.title if name is None else name
         garment_files.write_about(entry.path, About(title, entry.published if published is None else published))
         return self.read_again(entry)
 
     def read_again(self, entry: Entry) -> Entry:
-        """Returns ``entry`` with what the file of its changes says now."""
+        """Puts ``entry`` in service with the name and visibility that its ``About`` file has now. Returns the new
+        entry."""
         assert entry.path is not None
         changed = self._entries[entry.id] = replace(entry, about=garment_files.read_about(entry.path))
         return changed
 
     def withdraw(self, entry: Entry) -> None:
-        """Makes ``entry`` unknown to later requests. ``remove`` or ``forget`` then frees what it holds."""
+        """Makes ``entry`` unknown to later requests. ``remove`` or ``forget`` frees its constants later."""
         self._entries.pop(entry.id, None)
 
     def remove(self, entry: Entry) -> None:
-        """Takes ``entry`` off the disk and out of service."""
+        """Deletes the files of ``entry`` and takes it out of service."""
         if entry.path is not None:
             garment_files.remove_cache(entry.path, entry.id)
         self.forget(entry)
 
     def forget(self, entry: Entry) -> None:
-        """Takes ``entry`` out of service; constants go with the last garment that has them."""
+        """Takes ``entry`` out of service, and frees its constants if no other entry has the same garment."""
         self.withdraw(entry)
         if all(other.garment.digest != entry.garment.digest for other in self.entries()):
             for garment in (entry.garment, entry.fine.garment):
@@ -160,8 +164,8 @@ class Registry:
 
 
 def begin_reading(settings: Settings, body: BodyModel) -> Callable[[Path], Garment]:
-    """Begins to read all garments in a thread. Returns a function that takes a file, waits until it is read, and
-    returns its checked garment."""
+    """Begins to read all caches in a thread. Returns a function that returns the garment of a cache, once it is read;
+    it refuses as ``check_garment`` does."""
     with_limit = partial(_read, body=body, max_vertices=settings.max_vertices)
     pool = ThreadPoolExecutor(1, "drape-reading")
     stored = [*_shipped(settings), *garment_files.list_caches(settings.garments_dir)]
@@ -175,26 +179,28 @@ def _shipped(settings: Settings) -> list[Path]:
 
 
 def set_aside(path: Path, error: Exception) -> str:
-    """Logs that the cache ``path`` cannot be read because of ``error``, and returns that line."""
-    said = legible(f"{path.name}: {error if isinstance(error, DrapeError) else repr(error)[:200]}")
-    log.warning("garment set aside: %s", said)
-    return said
+    """Logs that the cache ``path`` cannot be read because of ``error``, and returns the line: file name and reason."""
+    line = legible(f"{path.name}: {error if isinstance(error, DrapeError) else repr(error)[:200]}")
+    log.warning("garment set aside: %s", line)
+    return line
 
 
 def _read(path: Path, body: BodyModel, max_vertices: int) -> Garment:
-    """The checked garment of the cache ``path``, of which no stage knows yet."""
+    """Returns the checked garment of the cache ``path``. No stage has its constants yet."""
     garment = load_garment(path)
     check_garment(garment, body, max_vertices=max_vertices)
     return garment
 
 
 def slug(name: str) -> str:
-    """Returns ``name`` with only letters, digits, dot, dash and underscore."""
+    """Returns ``name`` as a part of an id: at most 80 letters, digits, dots, dashes and underscores, with a dash in
+    place of all else; "garment" if nothing is left."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.")[:80] or "garment"
 
 
 def check_garment(garment: Garment, body: BodyModel, *, max_vertices: int) -> None:
-    """Refuses a cache that was made for another body, is too large, or whose arrays do not fit together."""
+    """Refuses a garment that was made for another body than ``body`` or whose arrays do not fit together
+    (``ArtifactError``), and one of more than ``max_vertices`` vertices (``TooLarge``)."""
     label, cure = f"garment {garment.name}", INTAKE
     if garment.body_digest != body.digest:
         raise ArtifactError(
@@ -238,7 +244,7 @@ def check_garment(garment: Garment, body: BodyModel, *, max_vertices: int) -> No
 
 
 def _check_drawn(label: str, garment: Garment, drawn: BoundMesh, most: int) -> None:
-    """Refuses what hangs on a garment if it is too large or its arrays do not fit together."""
+    """Refuses the drawn mesh of a garment if it has too many vertices or its arrays do not fit together."""
     count = len(drawn.corner)
     if count > most:
         raise TooLarge(f"{label} drawn vertices", expected=f"at most {most}", got=str(count), cure="Simplify the mesh.")
@@ -251,7 +257,7 @@ def _check_drawn(label: str, garment: Garment, drawn: BoundMesh, most: int) -> N
 
 
 def _check_indices(label: str, garment: Garment) -> None:
-    """Refuses faces, charts and texture faces that name what is not there."""
+    """Refuses faces, charts and texture faces whose indices are out of range."""
     bounds: list[tuple[Any, str, int]] = [(garment, "faces", garment.vertex_count)]
     bounds += [(garment, "chart_patch", garment.patch_count), (garment, "uv_faces", len(garment.uv))]
     if (drawn := garment.drawn) is not None:

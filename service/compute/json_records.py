@@ -1,5 +1,4 @@
-"""Records on disk as JSON. One that cannot be read, damaged or of another version, is named in the log and stops
-nothing: no list, no start."""
+"""Reads records that are stored as JSON. A record that is damaged or of another version is logged and left out."""
 
 from __future__ import annotations
 
@@ -15,15 +14,14 @@ log = logging.getLogger("drape.service")
 
 
 def parsed_record(kind: type[Kind], path: Path) -> Kind:
-    """Returns what the JSON at ``path`` holds as a ``kind``, a dataclass or a model. Raises ``ValueError`` where it
-    does not fit, or is no JSON.
-    """
+    """Returns the JSON in the file ``path`` as an instance of ``kind``, a dataclass or a pydantic model. Raises
+    ``ValueError`` where it is no JSON or does not fit, and ``OSError`` where the file cannot be read."""
     return _adapter(kind).validate_json(path.read_bytes())
 
 
 def read_record(kind: type[Kind], path: Path) -> Kind | None:
-    """Returns what ``parsed_record`` does. None if there is no file, or if it cannot be read, which the log then
-    says."""
+    """Returns the JSON in the file ``path`` as an instance of ``kind``. None if there is no file, or if it cannot be
+    read or does not fit, which is logged."""
     try:
         return parsed_record(kind, path)
     except FileNotFoundError:

@@ -1,7 +1,7 @@
-"""Processes of the service: the one place that starts them, without a handler of forks, and ends them.
+"""Starts and ends all processes of the service, without ``fork``.
 
-``fork`` calls the handlers of ``pthread_atfork``. That of OpenBLAS waits for its threads, for ever where a thread of
-ours has them at work. ``subprocess`` on Linux takes ``vfork`` or ``posix_spawn``, which call none, unless it gets a
+``fork`` calls the handlers of ``pthread_atfork``. OpenBLAS's handler waits for its threads, for ever where one of our
+threads uses them. ``subprocess`` on Linux takes ``vfork`` or ``posix_spawn``, which call no handlers, unless it gets a
 ``preexec_fn``, a ``user`` or a ``group``. asyncio under uvloop takes ``fork``.
 """
 
@@ -25,17 +25,16 @@ from typing import IO, Any
 from service.settings import ROOT
 from service.watch.watchdog import JOBS, WatchedJob, spent_s
 
-# One thread each: their stacks and buffers count against a memory limit.
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+# Each process computes with one thread, because the stacks and buffers of more count against its memory limit.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 POLL_S = 0.01
 Process = subprocess.Popen[bytes]
 _started: weakref.WeakSet[Process] = weakref.WeakSet()
 
 
 def start_process(module: str, *arguments: str, stdin: Any = subprocess.PIPE, quiet: bool = False) -> Process:
-    """Starts ``python -m module`` in a session of its own, with a pipe as standard output, and returns the process. If
-    it is ``quiet``, its errors are thrown away.
-    """
+    """Starts ``python -m module`` with ``arguments`` in a session of its own, with a pipe as standard output, and
+    returns the process. With ``quiet`` its standard error is thrown away."""
     process = subprocess.Popen(
         [sys.executable, "-m", module, *arguments],
         cwd=ROOT,
@@ -50,7 +49,7 @@ def start_process(module: str, *arguments: str, stdin: Any = subprocess.PIPE, qu
 
 
 def kill(process: Process) -> None:
-    """Kills ``process`` and what it has started."""
+    """Kills ``process`` and the processes of its group, unless it has ended."""
     if process.poll() is None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
@@ -63,7 +62,7 @@ def kill_all() -> None:
 
 
 @asynccontextmanager
-async def running(
+async def run_process(
     lane: str,
     module: str,
     *arguments: str,
@@ -72,13 +71,14 @@ async def running(
     quiet: bool = False,
     waiting: Process | None = None,
 ) -> AsyncIterator[tuple[Process, asyncio.StreamReader]]:
-    """Runs ``python -m module`` as a job of ``lane``; yields the process and its standard output. It is killed when the
-    block ends.
+    """Runs ``python -m module`` as a job of ``lane``, which the watchdog looks at, while the block runs. Yields the
+    process and its standard output; the process is killed when the block ends.
 
-    ``write`` writes its standard input into a file without a name in ``folder``, so that nobody waits until the process
-    reads. ``waiting`` is a process that has been started ahead; it reads its arguments as a line of JSON before that.
+    ``write`` writes the standard input to a file without a name in ``folder``, so that it need not wait until the
+    process reads. ``waiting`` is a process that was started earlier and takes its place: its standard input is a pipe,
+    with the arguments as a line of JSON first.
     """
-    if waiting is not None and await _handed(waiting, arguments, write):
+    if waiting is not None and await _hand_over(waiting, arguments, write):
         process = waiting
     else:
         with tempfile.TemporaryFile(dir=folder) as file:
@@ -98,11 +98,12 @@ async def running(
         kill(process)
         if pipe is not None:
             pipe.close()
-        await ended(process)
+        await wait_for_end(process)
 
 
-async def _handed(process: Process, arguments: Sequence[str], write: Callable[[IO[bytes]], Any]) -> bool:
-    """Whether ``process`` took its ``arguments`` and what ``write`` writes; it is killed where it did not."""
+async def _hand_over(process: Process, arguments: Sequence[str], write: Callable[[IO[bytes]], Any]) -> bool:
+    """Sends ``arguments`` and what ``write`` writes to the standard input of ``process``. Returns whether it took them;
+    a process that did not is killed."""
 
     def hand() -> None:
         with process.stdin as stdin:  # pyright: ignore[reportOptionalContextManager]
@@ -121,7 +122,7 @@ async def _handed(process: Process, arguments: Sequence[str], write: Callable[[I
     return handed
 
 
-async def ended(process: Process) -> None:
-    """Waits for the end of ``process``, without a thread."""
+async def wait_for_end(process: Process) -> None:
+    """Returns when ``process`` has ended. It looks every ``POLL_S``, without a thread."""
     while process.poll() is None:
         await asyncio.sleep(POLL_S)

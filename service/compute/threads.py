@@ -1,6 +1,7 @@
-"""The threads of a service, and whose turn it is: streams come first.
+"""The threads of a service, and which work comes first: streams.
 
-``ComputeThreads`` drape, and beside streams one chunk of a clip at a time. The ``SlicedThread`` reads and writes JSON.
+``ComputeThreads`` drape frames of streams, and beside these one chunk of a clip at a time. A ``SlicedThread`` reads and
+writes JSON.
 """
 
 from __future__ import annotations
@@ -19,57 +20,58 @@ from service.errors import Busy, Draining
 from service.watch.watchdog import ThreadLane, say_moved
 
 STREAM_WAIT_S = 0.02
-"""What a chunk of a clip may take while there are streams, which share processors with it; one frame is the least."""
+"""The most that a chunk of a clip takes while there are streams, as they share processors. A chunk has a frame at
+least."""
 STREAM_PAUSE_S = 1.0
-"""Longer after the last frame of a stream nothing gives way to streams any more, nor to a frame that takes longer."""
+"""How long other work gives way to streams: after the last frame of a stream was begun, and while one is computed."""
 
 APART = 2  # threads for pictures, reports and files, which hold the interpreter lock most of their time
 
-CLIP_WAIT_S = 15.0  # that a clip waits for streams and other clips before it is refused, at least
+CLIP_WAIT_S = 15.0  # a clip is never refused before it has waited so long for streams and other clips
 CLIP_FPS = 1.0
-"""Frames that a clip gets for every second of waiting, after ``CLIP_WAIT_S``; otherwise it is refused, before its
-client gives up."""
+"""The frames that a clip must get for every second that it waits beyond ``CLIP_WAIT_S``. Otherwise it is refused,
+before its client gives up."""
 
 BRIEF_TEXT, BRIEF_BYTES = 1 << 12, 1 << 18
-"""Of text to parse, and of numbers to copy: what so few cost the event loop is less than a turn of another thread."""
+"""The bytes of text that is parsed, and of numbers that are copied, on the event loop: so few take less time than
+handing them to a thread."""
 
 Result = TypeVar("Result")
 
 
 class ComputeThreads:
-    """``stream_threads`` have the frames of streams and nothing else, one for each processor unless the settings say
-    how many. Another has all that streams need not wait for: clips, measurements of frames, constants of garments.
+    """The threads that compute: ``stream_threads`` for frames of streams (None: one for each processor), one for clips
+    and constants of garments, which streams need not wait for, and ``APART`` for work that takes seconds for one
+    client.
 
-    Clips are computed in chunks of ``chunk_frames``; while there are streams, of as many as take ``STREAM_WAIT_S``. No
-    step of a chunk begins while a stream's frame is computed.
+    A clip is computed in chunks of ``chunk_frames`` frames, or of as many as take ``STREAM_WAIT_S`` while there are
+    streams. No step of a chunk begins while a stream's frame is computed.
     """
 
     def __init__(self, *, stream_threads: int | None, chunk_frames: int, clip_wait_s: float = CLIP_WAIT_S) -> None:
         self._chunk_most, self._clip_wait_s = chunk_frames, clip_wait_s
-        self.hurried = False  # clips end now: the service is being restarted
+        self.hurried = False  # true when clips must be refused, as the service ends
         self.stream_threads = stream_threads or processor_count()
         self._for_streams = ThreadLane("streams", self.stream_threads)
         self._apart = ThreadLane("apart", APART)
         self._aside = ThreadLane("aside", 1, initializer=thread_steps_back)
         self.streamed_s = -math.inf  # when a frame of a stream was last begun
-        self._frame_done = asyncio.Event()  # of the streams' latest frame
+        self._frame_done = asyncio.Event()  # set once the latest frame of streams is computed
         self._frame_done.set()
         self.clip_turn = asyncio.Lock()  # one chunk waits for the thread at a time, however many clips there are
 
     def close(self) -> None:
-        """Waits for the running chunk and ends the threads."""
+        """Waits for the calls that run and ends the threads."""
         for executor in (self._for_streams, self._aside, self._apart):
             executor.shutdown(wait=True, cancel_futures=True)
 
     @property
     def streaming(self) -> bool:
-        """Whether the computing of a stream's frame has begun within the last ``STREAM_PAUSE_S``."""
+        """Whether a frame of a stream was begun within the last ``STREAM_PAUSE_S``."""
         return time.monotonic() - self.streamed_s <= STREAM_PAUSE_S
 
     async def for_streams(self, function: Callable[..., Result], *arguments: object) -> Result:
-        """Runs ``function(*arguments)``, which computes frames of streams, on one of their threads, and returns its
-        result.
-        """
+        """Returns ``function(*arguments)``, which computes frames of streams, run on one of their threads."""
         done = self._frame_done = asyncio.Event()
         try:
             return await asyncio.get_running_loop().run_in_executor(self._for_streams, _here(function, *arguments))
@@ -77,25 +79,25 @@ class ComputeThreads:
             done.set()
 
     async def aside(self, function: Callable[..., Result], *arguments: object) -> Result:
-        """Returns ``function(*arguments)``, computed on the thread of what streams need not wait for. It begins only
-        when no frame of a stream is being computed."""
-        await _given_way(self._frame_done)
+        """Returns ``function(*arguments)``, run on the thread of clips and constants. It begins once the latest frame
+        of streams is computed, or after ``STREAM_PAUSE_S``."""
+        await _give_way(self._frame_done)
         return await asyncio.get_running_loop().run_in_executor(self._aside, _here(function, *arguments))
 
     async def apart(self, function: Callable[..., Result], *arguments: object) -> Result:
-        """Returns ``function(*arguments)``, which takes seconds for one client, computed on one of ``APART`` threads:
-        others need not wait for it. A client that leaves the queue is passed over."""
+        """Returns ``function(*arguments)``, which takes seconds for one client, run on one of ``APART`` threads. A call
+        that is cancelled while it waits for a thread is not made."""
         return await asyncio.get_running_loop().run_in_executor(self._apart, _here(function, *arguments))
 
     async def in_chunks(self, frames: int, compute: Callable[[slice], Iterator[Result]]) -> AsyncIterator[Result]:
-        """Yields for each chunk of ``frames`` the last result that ``compute`` yields of it; every step has its turn on
-        the thread of clips.
+        """Yields for each chunk of a clip of ``frames`` frames the last result of ``compute(rows)``, whose steps each
+        run ``aside``; ``rows`` are the frames of the chunk.
 
-        Refuses (``Busy``) a clip that has waited for streams and other clips for ``clip_wait_s``, and a second more for
-        every ``CLIP_FPS`` frames that it has got.
+        Refuses (``Busy``) a clip that has waited for streams and other clips longer than ``clip_wait_s`` and a second
+        for every ``CLIP_FPS`` frames that are computed, and (``Draining``) any once the service ends.
         """
-        frame_s, start = math.inf, 0  # until the first has told how long one takes
-        waited_s = 0.0  # for a turn; not for whoever asks to read
+        frame_s, start = math.inf, 0  # how long a frame takes is known after the first chunk
+        waited_s = 0.0  # without the time in which the caller does not ask for a chunk
         while start < frames:
             if self.hurried:
                 raise Draining
@@ -121,7 +123,8 @@ class ComputeThreads:
             )
 
     async def _last(self, steps: Iterator[Result], *, whole: bool) -> tuple[Result, float]:
-        """The last of ``steps``, each ``aside`` in its turn, or all in one, and how long they took there [s]."""
+        """Returns the last of ``steps``, and how long they took [s]. Each runs ``aside`` in a turn of its own, or all
+        in one turn if ``whole``."""
         took_s = 0.0
 
         def step() -> Result | None:
@@ -132,30 +135,30 @@ class ComputeThreads:
             took_s += time.perf_counter() - begun_s
             return result
 
-        def through() -> Result | None:
-            last = found = step()
-            while found is not None:
-                last, found = found, step()
+        def all_steps() -> Result | None:
+            last = after = step()
+            while after is not None:
+                last, after = after, step()
             return last
 
-        last = await self.aside(through if whole else step)
+        last = await self.aside(all_steps if whole else step)
         while not whole and (after := await self.aside(step)) is not None:
             last = after
         assert last is not None
         return last, took_s
 
     def _chunk_frames(self, frame_s: float) -> int:
-        """Frames of the next chunk, where one takes ``frame_s`` [s]."""
+        """Returns the number of frames of the next chunk, where one frame takes ``frame_s`` [s]."""
         if not self.streaming:
             return self._chunk_most
         return min(self._chunk_most, max(1, int(STREAM_WAIT_S / frame_s)))
 
 
 class SlicedThread:
-    """Work that holds the interpreter lock, done by one thread in pieces of about a millisecond; ``close`` ends it.
+    """One thread for work that holds the interpreter lock, in pieces of about a millisecond.
 
     The event loop and the threads that drape need the lock for every frame of every stream. Parsers and encoders of
-    JSON hold it until they are through, so they get one thread together, never two at a time, and what is long is cut.
+    JSON hold it until they end. So only one runs at a time, and long work is cut into pieces.
     """
 
     def __init__(self) -> None:
@@ -164,29 +167,28 @@ class SlicedThread:
         self._free.set()
 
     async def run(self, function: Callable[..., Result], *arguments: object) -> Result:
-        """Returns the result of ``function(*arguments)``, computed on this thread in one piece."""
+        """Returns ``function(*arguments)``, run on this thread in one piece."""
         return await asyncio.get_running_loop().run_in_executor(self._executor, partial(function, *arguments))
 
     async def brief(self, text: bytes, function: Callable[..., Result], *arguments: object) -> Result:
-        """Returns ``function(*arguments)``, which works on ``text``: computed at once where the text is short, else as
-        one piece of the thread's work.
-        """
+        """Returns ``function(*arguments)``, which works on ``text``: called here if that has at most ``BRIEF_TEXT``
+        bytes, else on this thread."""
         return function(*arguments) if len(text) <= BRIEF_TEXT else await self.run(function, *arguments)
 
-    async def each(self, pieces: Iterator[Result]) -> AsyncIterator[Result]:
-        """Yields the results of ``pieces``, each computed in a turn of its own: other work comes between them, and
-        frames come first."""
+    async def run_pieces(self, pieces: Iterator[Result]) -> AsyncIterator[Result]:
+        """Yields the items of ``pieces``, each computed on this thread in a turn of its own: other work may come
+        between two, and frames of streams come first."""
         end, gives_way = object(), True
         while True:
-            gives_way = gives_way and await _given_way(self._free)
+            gives_way = gives_way and await _give_way(self._free)
             if (piece := await self.run(next, pieces, end)) is end:
                 return
             yield piece  # pyright: ignore[reportReturnType]
 
     @contextmanager
-    def held(self) -> Iterator[None]:
-        """Holds the thread back while a stream's frame is computed, which asks for the lock some fifty times. No piece
-        of ``each`` begins before the last such block has ended."""
+    def hold_back(self) -> Iterator[None]:
+        """Lets no piece of ``run_pieces`` begin while the block runs: a stream's frame is computed there, which asks
+        for the interpreter lock some fifty times. After ``STREAM_PAUSE_S`` pieces begin nevertheless."""
         self._free.clear()
         try:
             yield
@@ -194,12 +196,12 @@ class SlicedThread:
             self._free.set()
 
     def close(self) -> None:
-        """Ends the thread after the piece at hand."""
+        """Waits for the piece that runs and ends the thread."""
         self._executor.shutdown(wait=True, cancel_futures=True)
 
 
-async def _given_way(free: asyncio.Event) -> bool:
-    """Waits until ``free`` is set, and for no longer than ``STREAM_PAUSE_S``: whether it is."""
+async def _give_way(free: asyncio.Event) -> bool:
+    """Waits until ``free`` is set, ``STREAM_PAUSE_S`` at most. Returns whether it is."""
     if not free.is_set():
         with suppress(TimeoutError):
             await asyncio.wait_for(free.wait(), STREAM_PAUSE_S)
@@ -207,5 +209,6 @@ async def _given_way(free: asyncio.Event) -> bool:
 
 
 def _here(function: Callable[..., Result], *arguments: object) -> Callable[[], Result]:
-    """``function(*arguments)`` in a copy of the caller's context, for another thread: whose request it is for."""
+    """Returns a call of ``function(*arguments)`` in a copy of the caller's context, which says whose request it is
+    for."""
     return partial(contextvars.copy_context().run, partial(function, *arguments))

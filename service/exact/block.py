@@ -1,8 +1,8 @@
-"""The frames of a clip of tier exact, each from the one before it, in a process of their own.
+"""The program that computes the frames of a clip of tier exact, each from the one before it.
 
-``python -m service.exact.block`` reads a pickled ``FrameBlock`` on its standard input and prints a line of JSON for
-each frame as it is on disk, ``{"frame": 12, ...}``, or ``{"problem": {kind, name, expected, got, cure}}`` as its last
-one. Frames that are on disk are left as they are.
+``python -m service.exact.block`` reads a pickled ``FrameBlock`` from its standard input. It prints a line of JSON for
+each frame that it has written, ``{"frame": 12, ...}``, and ``{"problem": {kind, name, expected, got, cure}}`` as the
+last line after a refusal. Frames that were on disk before are not computed again.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ import os
 import pickle
 import resource
 import sys
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +32,12 @@ from service.exact.clip_folder import read_frame, write_frame
 
 @dataclass(frozen=True, eq=False)
 class FrameBlock:
-    """The frames of a clip, with the ``poses`` (n, 24, 3) [rad] and the ``starts`` [m] (n, V, 3) that they are given,
-    relative to the root; ``rest`` [m] (V, 3) is a drape of the T-pose. They go to ``folder``."""
+    """All that the frames of a clip are computed from, and the ``folder`` that they are written to.
+
+    ``poses`` (F, 24, 3) [rad]; ``starts`` [m] (F, V, 3), the drapes of tier accurate that the frames start from;
+    ``rest`` [m] (V, 3), a drape of the T-pose; ``betas`` (S,), the shape of ``model``. Drapes are relative to the root
+    joint, in the world's axes.
+    """
 
     garment: Garment
     fabric: Fabric
@@ -43,20 +49,20 @@ class FrameBlock:
     starts: np.ndarray
 
 
-def run_block(block: FrameBlock, say: Any = print) -> None:
-    """Computes the frames of ``block`` that are not on disk, one after the other, and calls ``say`` with the figures of
-    each."""
+def run_block(block: FrameBlock, print_line: Callable[[str], Any] = print) -> None:
+    """Computes the frames of ``block`` that are not on disk, one after the other, and writes each to the folder. Calls
+    ``print_line`` with the number and the figures of each, as a line of JSON."""
     sheet, before = None, None
     for number, (pose, start) in enumerate(zip(block.poses, block.starts, strict=True)):
-        kept = read_frame(block.folder, number)
-        if kept is None:
+        stored = read_frame(block.folder, number)
+        if stored is None:
             if sheet is None:
                 sheet = ExactCloth.of(block.garment, block.fabric, block.model, block.betas, block.rest)
-            before, told = exact(sheet, pose, start, before)
-            write_frame(block.folder, number, before.x.astype(np.float32), asdict(told))
-            say(json.dumps({"frame": number, **asdict(told)}), flush=True)
+            before, figures = exact(sheet, pose, start, before)
+            write_frame(block.folder, number, before.x.astype(np.float32), asdict(figures))
+            print_line(json.dumps({"frame": number, **asdict(figures)}))
         else:
-            before = RestingFrame(pose, kept[0].astype(np.float64), start.astype(np.float64))
+            before = RestingFrame(pose, stored[0].astype(np.float64), start.astype(np.float64))
 
 
 def main() -> int:
@@ -66,31 +72,23 @@ def main() -> int:
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what is printed is no answer
-
-    def say(line: str, *, flush: bool = True) -> None:
-        answers.write(line + "\n")
-        answers.flush()
-
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # so that no printed text gets between the answers
+    print_answer = partial(print, file=answers, flush=True)
     try:
-        with sys.stdin.buffer as given:  # a file, whose room is free from then on
-            block = pickle.load(given)
-        run_block(block, say)
+        with sys.stdin.buffer as request:  # a file without a name, whose room on disk is free once it is closed
+            block = pickle.load(request)
+        run_block(block, print_answer)
+        return 0
     except DrapeError as error:
-        return _refuse(say, error)
+        refusal = error
     except MemoryError:
-        cure = "Raise DRAPE_INTAKE_MEMORY_MB, or ask for fewer vertices."
-        got = "one that does not"
-        return _refuse(say, Unavailable("memory", expected=f"a frame within {sys.argv[1]} MB", got=got, cure=cure))
+        cure, got = "Raise DRAPE_INTAKE_MEMORY_MB, or ask for fewer vertices.", "one that does not fit"
+        refusal = Unavailable("memory", expected=f"a frame within {sys.argv[1]} MB", got=got, cure=cure)
     except OSError as error:
         cure = "Make room, and ask again."
-        return _refuse(say, Unavailable("disk", expected="room for a frame", got=str(error.strerror), cure=cure))
-    return 0
-
-
-def _refuse(say: Any, error: DrapeError) -> int:
-    said = {"name": error.name, "expected": error.expected, "got": error.got, "cure": error.cure}
-    say(json.dumps({"problem": {"kind": type(error).__name__, **said}}))
+        refusal = Unavailable("disk", expected="room for a frame", got=str(error.strerror), cure=cure)
+    words = {"name": refusal.name, "expected": refusal.expected, "got": refusal.got, "cure": refusal.cure}
+    print_answer(json.dumps({"problem": {"kind": type(refusal).__name__, **words}}))
     return 2
 
 

@@ -1,8 +1,8 @@
-"""A clip of tier exact on disk, a folder: what was asked for, and its frames as they come.
+"""A clip of tier exact on disk: a folder with its request and the frames that are computed.
 
-``job.json`` tells whose it is, ``clip.bin`` is the CLIP message (docs/reference/wire.md) that asks for it, and
-``frame-00012.npz`` a frame with what is told of it. All are written whole or not at all. The process that computes the
-clip holds a lock on the folder, which ends with that process.
+``job.json`` is an ``AcceptedClip``, ``clip.bin`` the CLIP message (docs/reference/wire.md) that asks for the clip, and
+``frame-00012.npz`` a frame with its figures. All are written whole or not at all. The service that computes the clip
+holds a lock on the folder, which ends with its process.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from drape.wanted import go_on
 from service.compute.json_records import read_record
 
 FOLDER = ".clips"
-MOST_FRAMES = 100_000  # that a stored clip may say it has
+MOST_FRAMES = 100_000  # the most frames that a stored record may name
 ABOUT, CLIP, LOCK = "job.json", "clip.bin", "lock"
 COUNTS = ("crossings", "start_crossings", "steps")
 FIGURES = ("force_share", "depth_m", "energy_j", "start_j", *COUNTS)
@@ -33,8 +33,9 @@ FIGURES = ("force_share", "depth_m", "energy_j", "start_j", *COUNTS)
 
 @dataclass(frozen=True)
 class AcceptedClip:
-    """An accepted clip: its job's id and name, its key, its number of frames, how often it was begun, and the
-    ``problem`` that ended it."""
+    """The record of an accepted clip: its job's id and name, the key that sent it (``owner``), its number of frames,
+    how often its computing was begun (``attempts``), and the problem document of the refusal that ended it, if one
+    did."""
 
     id: str
     name: str
@@ -43,59 +44,60 @@ class AcceptedClip:
     attempts: int = 0
     problem: dict[str, Any] | None = None
 
-    def tried(self, folder: Path) -> AcceptedClip:
-        """Returns the clip with one attempt more, written to ``folder``."""
+    def add_attempt(self, folder: Path) -> AcceptedClip:
+        """Adds one to ``attempts``, writes the record to ``folder`` and returns it."""
         again = replace(self, attempts=self.attempts + 1)
         again.write(folder)
         return again
 
     def write(self, folder: Path) -> None:
-        """Writes what was accepted to ``folder``, as ``read_accepted`` reads it."""
+        """Writes the record to ``folder``, where ``read_accepted`` reads it."""
         with whole_file(folder / ABOUT) as stream:
             stream.write(json.dumps(asdict(self)).encode())
 
 
 def read_accepted(folder: Path) -> AcceptedClip | None:
-    """The clip that was accepted in ``folder``, if one was."""
+    """Returns the record in ``folder``. None if there is none or it does not fit the folder, or if neither the request
+    nor a problem that ended it is there."""
     accepted = read_record(AcceptedClip, folder / ABOUT)
     if accepted is None:
         return None
-    known = accepted.problem is not None or (folder / CLIP).is_file()
-    return accepted if folder.name == accepted.id and known else None
+    complete = accepted.problem is not None or (folder / CLIP).is_file()
+    return accepted if folder.name == accepted.id and complete else None
 
 
 def frame_path(folder: Path, number: int) -> Path:
-    """The file of a frame."""
+    """Returns the path of the file of the frame ``number`` (from 0) of the clip in ``folder``."""
     return folder / f"frame-{number:05d}.npz"
 
 
-def write_frame(folder: Path, number: int, x: np.ndarray, told: dict[str, Any]) -> None:
-    """Stores the vertices ``x`` [m] (V, 3) float32 of a frame, relative to the root, and what is ``told`` of it."""
+def write_frame(folder: Path, number: int, x: np.ndarray, figures: dict[str, Any]) -> None:
+    """Writes the frame ``number`` to its file: vertices ``x`` [m] (V, 3) float32, relative to the root joint in the
+    world's axes, and the ``FIGURES`` by name."""
     with whole_file(frame_path(folder, number)) as stream:
-        np.savez(stream, x=x, told=np.array([told[name] for name in FIGURES], np.float64))
+        np.savez(stream, x=x, told=np.array([figures[name] for name in FIGURES], np.float64))
 
 
 def read_frame(folder: Path, number: int) -> tuple[np.ndarray, dict[str, Any]] | None:
-    """Returns the vertices [m] (V, 3) of a frame and what was told of it, as ``write_frame`` stored them; None where
-    there is no such frame.
-    """
+    """Returns the vertices [m] (V, 3) float32 and the figures of the frame ``number``, as ``write_frame`` wrote them;
+    None if there is no whole file of it."""
     go_on()
     try:
         with np.load(frame_path(folder, number), allow_pickle=False) as stored:
-            x, told = stored["x"], dict[str, Any](zip(FIGURES, stored["told"].tolist(), strict=True))
+            x, figures = stored["x"], dict[str, Any](zip(FIGURES, stored["told"].tolist(), strict=True))
             whole = x.ndim == 2 and x.shape[1] == 3 and np.isfinite(x).all()
-            return (x, told | {name: int(told[name]) for name in COUNTS}) if whole else None
+            return (x, figures | {name: int(figures[name]) for name in COUNTS}) if whole else None
     except (*UNREADABLE, OverflowError):
         return None
 
 
 def folders(root: Path) -> Iterator[Path]:
-    """The folders of all clips under ``root``, the oldest first."""
-    yield from sorted((root / FOLDER).glob("*/"), key=lambda one: one.stat().st_mtime)
+    """Yields the folders of all clips under ``root``, the oldest first."""
+    yield from sorted((root / FOLDER).glob("*/"), key=lambda folder: folder.stat().st_mtime)
 
 
 def stored_bytes(root: Path) -> int:
-    """Bytes of all clips under ``root``."""
+    """Returns the bytes of all files of clips under ``root``."""
     total = 0
     for path in (root / FOLDER).glob("*/*"):
         try:
@@ -106,20 +108,19 @@ def stored_bytes(root: Path) -> int:
 
 
 def clear_clip(folder: Path) -> None:
-    """Removes the request and the computed frames of a clip from the disk. Its record stays, for clients that ask
-    later."""
+    """Deletes the request and the frames of the clip in ``folder``. Its record stays for clients that ask later."""
     for path in folder.glob("*"):
         if path.name not in (ABOUT, LOCK):
             path.unlink(missing_ok=True)
 
 
 def remove_clip(folder: Path) -> None:
-    """Takes a clip off the disk."""
+    """Deletes ``folder``, that of a clip."""
     shutil.rmtree(folder, ignore_errors=True)
 
 
 class Lock:
-    """The right to compute the clip in ``folder``, of one process at a time."""
+    """A lock on the clip in ``folder``, which one process at a time can hold. ``held`` says whether this one got it."""
 
     def __init__(self, folder: Path) -> None:
         self._file = os.open(folder / LOCK, os.O_CREAT | os.O_RDWR)
@@ -131,7 +132,7 @@ class Lock:
             self.release()
 
     def release(self) -> None:
-        """Gives the claim up, so that another process may take it."""
+        """Gives the lock up, so that another process can get it."""
         if self._file >= 0:
             os.close(self._file)
         self._file = -1

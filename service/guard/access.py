@@ -1,7 +1,7 @@
-"""Who asks, and how much of everything they may have: ``Access``.
+"""Identifies clients by key or ticket, and counts what each has in use: ``Access``.
 
-A key or a ticket comes as ``Authorization: Bearer``; a stream of a page, which can set no header, offers
-``ticket.TICKET`` among its sub-protocols. It is never echoed.
+A key or a ticket comes as ``Authorization: Bearer``. A page cannot set that header for a stream, so it offers
+``ticket.TICKET`` among the sub-protocols, which the answer never repeats.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ if TYPE_CHECKING:
     from service.settings import Settings
 
 OFFER = "ticket."
-BURST_S = 2.0
+BURST_S = 2.0  # a key may make the requests of so many seconds at once
 
 
 class Access:
-    """Keys, tickets, and what each key has in use. Without a file of keys everybody is ``ANYONE``, without limits."""
+    """The keys and tickets of a service, and what each key has in use. Without a file of keys every client is
+    ``ANYONE``, which has no limits."""
 
     def __init__(self, settings: Settings) -> None:
         self._clients = load_keys(settings.keys_file) if settings.keys_file else {}
@@ -37,18 +38,20 @@ class Access:
         self._buckets: dict[str, tuple[float, float]] = {}  # tokens, and when [s] they were counted
 
     def client(self, name: str | None) -> Client:
-        """The client of the key ``name``; of one that is gone its name alone."""
+        """Returns the client with the key ``name``, without limits if there is no such key any more; ``ANYONE`` for
+        None."""
         return ANYONE if name is None else self._names.get(name, Client(name))
 
     def admit(self, headers: Headers, offered: Sequence[str] = (), *, stream: bool = False) -> Client:
-        """Returns the client that asks. Refuses (``Unauthorized``) one without a key or ticket, and (``Busy``) one that
-        asks too often."""
+        """Returns the client that sent ``headers``, and ``offered`` sub-protocols where it opens a ``stream``, and
+        counts one request. Refuses (``Unauthorized``) one without a valid key or ticket, and (``Busy``) one that asks
+        too often. A stream spends its ticket."""
         if not self._clients:
             return ANYONE
-        scheme, _, said = headers.get("authorization", "").partition(" ")
-        tickets = [one.removeprefix(OFFER) for one in offered if one.startswith(OFFER)]
-        if scheme.lower() == "bearer" and said:
-            client = self._client(said.strip(), stream=stream)
+        scheme, _, credential = headers.get("authorization", "").partition(" ")
+        tickets = [protocol.removeprefix(OFFER) for protocol in offered if protocol.startswith(OFFER)]
+        if scheme.lower() == "bearer" and credential:
+            client = self._client(credential.strip(), stream=stream)
         elif tickets:
             client = self._client(tickets[0], stream=stream)
         else:
@@ -56,18 +59,18 @@ class Access:
         self._count(client)
         return client
 
-    def _client(self, said: str, *, stream: bool) -> Client:
-        if (client := self._clients.get(key_digest(said))) is not None:
+    def _client(self, credential: str, *, stream: bool) -> Client:
+        if (client := self._clients.get(key_digest(credential))) is not None:
             return client
-        if "." not in said:
+        if "." not in credential:
             raise _unknown("one that this service does not know")
-        client = self._names.get(self.tickets.name(said, spend=stream))
+        client = self._names.get(self.tickets.name(credential, spend=stream))
         if client is None:
-            raise _unknown("a ticket of a key that is gone")
+            raise _unknown("a ticket of a key that no longer exists")
         return client
 
     def _count(self, client: Client) -> None:
-        """Takes one of the client's requests a second."""
+        """Counts one request of ``client``. Refuses (``Busy``) more than its rate (a token bucket of ``BURST_S``)."""
         assert client.name is not None and client.limits is not None
         rate, now = client.limits.rate, time.monotonic()
         most = max(1.0, BURST_S * rate)
@@ -80,21 +83,22 @@ class Access:
 
     @contextmanager
     def using(self, client: Client, what: Literal["streams", "clips"]) -> Iterator[None]:
-        """Counts one of the client's ``what`` as in use during the block. Refuses (``Busy``) if its key has no more."""
+        """Counts one more of ``what`` as in use by the key of ``client`` while the block runs. Refuses (``Busy``) more
+        than the key's limit."""
         if client.limits is None or client.name is None:
             yield
             return
-        held, most = (client.name, what), getattr(client.limits, what)
-        if self._used[held] >= most:
+        counter, most = (client.name, what), getattr(client.limits, what)
+        if self._used[counter] >= most:
             cure = "Close one, or try again in a second."
             raise Busy(what, expected=f"at most {most} of one key at a time", got="one more", cure=cure)
-        self._used[held] += 1
+        self._used[counter] += 1
         try:
             yield
         finally:
-            self._used[held] -= 1
+            self._used[counter] -= 1
 
 
 def _unknown(got: str) -> Unauthorized:
-    cure = "Send Authorization: Bearer KEY; a stream of a page offers a ticket of POST /tickets."
+    cure = "Send the header Authorization: Bearer KEY. A page opens a stream with a ticket of POST /tickets."
     return Unauthorized("key", expected="an API key or a ticket", got=got, cure=cure)

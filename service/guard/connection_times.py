@@ -1,8 +1,8 @@
-"""Connections that may not be held open for nothing: ``http_protocol(settings)``.
+"""Closes connections that do nothing, and ends requests whose client has gone.
 
-Uvicorn has a time for the pause between two requests only. Here the head of a request, what is left of a body after its
-answer, and the reading of an answer have theirs too, and connections are counted, in all and by address. A request
-ends with its connection: ``EndsWithClient``.
+Uvicorn limits only the pause between two requests. ``http_protocol`` also limits the time for the head of a request,
+for the rest of a body after its answer and for the reading of an answer, and the number of connections, in all and by
+address. ``EndsWithClient`` ends a request with its connection.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from service.guard.limits import STORED_PATHS
 if TYPE_CHECKING:
     from service.settings import Settings
 
-HEAD_BYTES = 64 * 1024  # of a request line and its headers
-HEAD_S = 10.0  # for the head of a request
-READ_S = 10.0  # in which a client must take some of an answer
-REST_S = 2.0  # for what is left of a body after its answer
-LOOK_S = 0.25  # between two looks at a client that nothing is read of
+HEAD_BYTES = 64 * 1024  # the longest request line with its headers
+HEAD_S = 10.0  # the time for the head of a request
+READ_S = 10.0  # the time in which a client must read some of an answer
+REST_S = 2.0  # the time for the rest of a body after its answer
+LOOK_S = 0.25  # between two looks at a client from which nothing is read
 LEFT = "drape.left"  # the extension of a request's scope: a future that is done when the connection is lost
 
 
 class LimitedHttp(HttpToolsProtocol):
-    """One connection, until it becomes a WebSocket."""
+    """Uvicorn's protocol of one HTTP connection, with limits of time and number until it becomes a WebSocket."""
 
     settings: ClassVar[Settings]
     _head: asyncio.TimerHandle | None = None
@@ -48,7 +48,7 @@ class LimitedHttp(HttpToolsProtocol):
         self._left: asyncio.Future[None] = self.loop.create_future()
         self._cycles: list[RequestResponseCycle] = []  # requests without their answer's end
         limits = self.settings
-        clients = [getattr(one, "client", None) for one in self.connections]
+        clients = [getattr(connection, "client", None) for connection in self.connections]
         mine = sum(client is not None and self.client is not None and client[0] == self.client[0] for client in clients)
         for most, count, whose in (
             (limits.max_connections, len(self.connections), "in all"),
@@ -79,7 +79,7 @@ class LimitedHttp(HttpToolsProtocol):
         elif (
             (self.cycle is None or self.cycle.response_complete) and not self.timeout_keep_alive_task and not self._rest
         ):
-            self._await_head()  # bytes between two requests ended the pause and began nothing
+            self._await_head()  # bytes between two requests have ended the pause but begun no request
 
     def on_message_begin(self) -> None:
         super().on_message_begin()
@@ -88,10 +88,10 @@ class LimitedHttp(HttpToolsProtocol):
             self._await_head()
 
     def on_headers_complete(self) -> None:
-        self._head = _ended(self._head)
+        self._head = _cancel(self._head)
         super().on_headers_complete()
         if self.cycle is not None:
-            self._cycles = [*(one for one in self._cycles if not one.response_complete), self.cycle]
+            self._cycles = [*(cycle for cycle in self._cycles if not cycle.response_complete), self.cycle]
             self._looking = self._looking or self.loop.call_later(LOOK_S, self._look)
 
     def handle_websocket_upgrade(self) -> None:
@@ -100,7 +100,7 @@ class LimitedHttp(HttpToolsProtocol):
         super().handle_websocket_upgrade()
 
     def on_message_complete(self) -> None:
-        self._rest = _ended(self._rest)
+        self._rest = _cancel(self._rest)
         self._head_bytes = 0
         if self.cycle is None:  # a WebSocket begins
             super().on_message_complete()
@@ -113,7 +113,8 @@ class LimitedHttp(HttpToolsProtocol):
     def on_response_complete(self) -> None:
         super().on_response_complete()
         if self.cycle.response_complete and self.cycle.more_body and not self.transport.is_closing():
-            # Refused before its body was read. Closing at once would reset the line and take the answer with it.
+            # The request was refused before its body was read. Closing at once would reset the connection, and the
+            # client would lose the answer.
             self._rest = self.loop.call_later(REST_S, self.transport.close)
 
     def pause_writing(self) -> None:
@@ -121,21 +122,21 @@ class LimitedHttp(HttpToolsProtocol):
         self._watch_reading(self.transport.get_write_buffer_size())
 
     def resume_writing(self) -> None:
-        self._reading = _ended(self._reading)
+        self._reading = _cancel(self._reading)
         super().resume_writing()
 
     def _watch_reading(self, before: int) -> None:
         def look() -> None:
-            left = self.transport.get_write_buffer_size()
-            if left >= before:
+            size = self.transport.get_write_buffer_size()
+            if size >= before:
                 self.transport.abort()  # closing would wait for the reader
             else:
-                self._watch_reading(left)
+                self._watch_reading(size)
 
         self._reading = self.loop.call_later(READ_S, look)
 
     def _look(self) -> None:
-        """Cuts the connection where its client has gone: the loop does not see that while nothing is read, because a
+        """Aborts the connection if its client has gone. The loop does not see that while reading is paused, because a
         body or another request waits."""
         self._looking, poll = None, select.poll()
         poll.register(self.transport.get_extra_info("socket").fileno(), getattr(select, "POLLRDHUP", 0))
@@ -153,7 +154,7 @@ class LimitedHttp(HttpToolsProtocol):
         self._refuse(TooSlow("request head", expected=limit, got="a part", cure="Send the request at once."))
 
     def _refuse(self, error: DrapeError) -> None:
-        """Answers with ``error`` and closes; nothing of this connection is read any more."""
+        """Answers with ``error`` and closes the connection. Nothing more is read from it."""
         self._drop_timers()
         self._unset_keepalive_if_required()
         document = problem_of(error)
@@ -165,48 +166,48 @@ class LimitedHttp(HttpToolsProtocol):
 
     def _drop_timers(self) -> None:
         timers = self._head, self._rest, self._reading, self._looking
-        self._head, self._rest, self._reading, self._looking = map(_ended, timers)
+        self._head, self._rest, self._reading, self._looking = map(_cancel, timers)
 
 
-def _ended(timer: asyncio.TimerHandle | None) -> None:
+def _cancel(timer: asyncio.TimerHandle | None) -> None:
     if timer is not None:
         timer.cancel()
 
 
 def http_protocol(settings: Settings) -> type[LimitedHttp]:
-    """The protocol class with the limits of ``settings``, as uvicorn wants it."""
+    """Returns the class of connections with the limits of ``settings``, for uvicorn's ``Config(http=...)``."""
     return type("Http", (LimitedHttp,), {"settings": settings})
 
 
 class EndsWithClient:
-    """Cancels the work on a request whose connection is lost: nobody can fetch its answer. What changes something goes
-    on: an upload whose last byte has come, ``PATCH``, ``DELETE``, and what is shielded in other requests."""
+    """A middleware that cancels a request whose connection is lost, since nobody can read its answer. Requests that
+    change something go on: uploads, PATCH and DELETE. So does what other requests shield from cancellation."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        left, work = scope.get("extensions", {}).get(LEFT), asyncio.current_task()
+        lost, work = scope.get("extensions", {}).get(LEFT), asyncio.current_task()
         changes = scope.get("method") in ("PATCH", "DELETE") or scope.get("path") in STORED_PATHS
-        if left is None or work is None or changes:
+        if lost is None or work is None or changes:
             await self.app(scope, receive, send)
             return
 
         def end(_: object) -> None:
             work.cancel()
 
-        async def sent(message: Message) -> None:
+        async def send_on(message: Message) -> None:
             if message["type"] == "http.response.body" and not message.get("more_body"):
-                left.remove_done_callback(end)  # the line may end now
+                lost.remove_done_callback(end)  # the answer is whole, so the connection may end
             await send(message)
 
-        WANTED.set(lambda: not left.done())
-        left.add_done_callback(end)
+        WANTED.set(lambda: not lost.done())
+        lost.add_done_callback(end)
         try:
-            await self.app(scope, receive, sent)
+            await self.app(scope, receive, send_on)
         except (asyncio.CancelledError, Unwanted):
-            if left.done():
+            if lost.done():
                 raise ClientDisconnect from None
             raise
         finally:
-            left.remove_done_callback(end)
+            lost.remove_done_callback(end)

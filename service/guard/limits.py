@@ -1,4 +1,4 @@
-"""Limits on request bodies, their pace and all bytes held of them, and on answers."""
+"""Limits on the size and pace of request bodies, on the memory that all of them take, and on the size of answers."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ if TYPE_CHECKING:
     from service.watch.probes import Lifecycle
 
 STORED_PATHS = ("/garments", "/avatars")
-UPLOAD_PATHS = (*STORED_PATHS, "/motions")  # whose bodies are files
-JSON = "application/json"  # a body that is held until it has come
-IDLE_S = 10.0  # that a body may pause
-PACE_BYTES_S = 16384  # its least mean pace
-HELD_BYTES = 80 * 2**20  # of all request bodies in memory together; again of all states that streams bring
+UPLOAD_PATHS = (*STORED_PATHS, "/motions")  # the routes whose bodies are files
+JSON = "application/json"  # such a body stays in memory until it is whole
+IDLE_S = 10.0  # the longest pause of a body
+PACE_BYTES_S = 16384  # the least mean pace of a body
+HELD_BYTES = 80 * 2**20  # the most of all request bodies in memory; also the most of all states that streams bring
 LOOK_S = 0.5  # between two looks at whether the service ends
 
 
 def check_answer(size: int, what: str, settings: Settings) -> None:
-    """Refuses (``TooLarge``) an answer of about ``size`` bytes, for ``what``."""
+    """Refuses (``TooLarge``) an answer of about ``size`` bytes above ``max_answer_bytes``. ``what`` says in the refusal
+    what the answer is for."""
     limit = settings.max_answer_bytes
     if size > limit:
         raise TooLarge(
@@ -36,10 +37,11 @@ def check_answer(size: int, what: str, settings: Settings) -> None:
 
 
 class BodyLimit:
-    """Watches each request body as it is read: its size, its pace, and how much all requests hold together.
+    """A middleware that limits request bodies as they are read: the size and the pace of each, and the memory that all
+    take together. A file as a raw body goes to disk piece by piece and takes no memory.
 
-    Nothing is read before the route asks for it, so a request that is refused by its head costs no memory. A file in a
-    raw body goes to disk piece by piece and is not held. Raises the refusal where the body is read.
+    Nothing is read before the route asks for it, so a request that is refused by its head costs no memory. The refusal
+    (``TooLarge``, ``TooSlow``, ``Busy``, ``Draining``) is raised where the route reads the body.
     """
 
     def __init__(self, app: ASGIApp, settings: Settings, lifecycle: Lifecycle) -> None:
@@ -63,7 +65,7 @@ class BodyLimit:
             await problem_response(error)(scope, receive, send)
             return
 
-        async def watched() -> Message:
+        async def receive_checked() -> Message:
             if body.ended:
                 return await receive()
             message = await body.next(receive)
@@ -74,9 +76,9 @@ class BodyLimit:
             return message
 
         try:
-            await self.app(scope, watched, send)
+            await self.app(scope, receive_checked, send)
         finally:
-            self._held -= 0 if to_disk else body.taken
+            self._held -= 0 if to_disk else body.size
 
     def _check_held(self, more: int) -> None:
         if more and self._held + more > HELD_BYTES:
@@ -89,29 +91,29 @@ class BodyLimit:
 
 
 class _Body:
-    """One body: how much of it has come, since when, and whether it has ended. ``taken`` are bytes handed on."""
+    """The body of one request: its ``size`` so far in bytes, since when it comes, and whether it has ended."""
 
     def __init__(self, settings: Settings, lifecycle: Lifecycle, *, upload: bool) -> None:
         self._settings, self._life, self.upload = settings, lifecycle, upload
         self._limit = settings.max_upload_bytes if upload else settings.max_body_bytes
         self._begun_s = time.monotonic()
-        self.taken, self.ended = 0, False
+        self.size, self.ended = 0, False
 
     def check_size(self, size: int) -> None:
-        """Refuses a body of ``size`` bytes or more where that is too many."""
+        """Refuses (``TooLarge``) a body of ``size`` bytes or more above the limit."""
         if size > self._limit:
             cure = f"Send less, or raise DRAPE_MAX_{'UPLOAD' if self.upload else 'BODY'}_BYTES."
             expected = f"at most {self._limit} bytes"
             raise TooLarge("request body", expected=expected, got=f"{size} or more", cure=cure)
 
     async def next(self, receive: Receive) -> Message:
-        """Its next piece; refuses one that is too slow or makes it too large."""
-        until_s = min(self._begun_s + IDLE_S + self.taken / PACE_BYTES_S, time.monotonic() + IDLE_S)
+        """Returns the next message with a piece of the body. Refuses a body that is too slow or too large."""
+        until_s = min(self._begun_s + IDLE_S + self.size / PACE_BYTES_S, time.monotonic() + IDLE_S)
         message = None
         while message is None:
             with contextlib.suppress(TimeoutError):
-                left_s = max(0.0, until_s - time.monotonic())
-                message = await asyncio.wait_for(receive(), min(LOOK_S, left_s))
+                rest_s = max(0.0, until_s - time.monotonic())
+                message = await asyncio.wait_for(receive(), min(LOOK_S, rest_s))
             if message is not None:
                 break
             if self._life.hurried:
@@ -121,11 +123,11 @@ class _Body:
             raise TooSlow(
                 "request body",
                 expected=f"a piece within {IDLE_S:g} s, and {PACE_BYTES_S} bytes a second",
-                got=f"{self.taken} bytes in {time.monotonic() - self._begun_s:.1f} s",
+                got=f"{self.size} bytes in {time.monotonic() - self._begun_s:.1f} s",
                 cure="Send faster.",
             )
         size = len(message.get("body", b""))
-        self.check_size(self.taken + size)
-        self.taken += size
+        self.check_size(self.size + size)
+        self.size += size
         self.ended = message["type"] != "http.request" or not message.get("more_body", False)
         return message

@@ -1,7 +1,7 @@
-"""Under which names the service may be asked, and which web pages may ask it: ``OriginGuard``, for REST as for streams.
+"""Refuses requests to other host names and from pages of other origins, for REST and streams: ``OriginGuard``.
 
-Browsers let any page open a WebSocket and send simple requests anywhere, and a page whose host name turns to this
-machine's address counts as one of ours (DNS rebinding). Programs send no Origin and pass.
+Browsers let any page open a WebSocket and send simple requests to any host. A page whose host name is made to resolve
+to this machine even counts as the service's own (DNS rebinding). Programs send no Origin and are let through.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 
 def check_host(headers: Mapping[str, str], settings: Settings) -> None:
-    """Refuses a request that was sent to a host name that is not ours.
+    """Refuses (``Forbidden``) a request whose header Host is another name than this service's.
 
-    Addresses pass: a page of another site cannot make a browser send one in place of its own name.
+    An IP address is let through: a page of another site cannot make a browser send one in place of its own name.
     """
     host = headers.get("host")
     if host is None or "*" in settings.allowed_hosts:
@@ -55,7 +55,8 @@ def _is_address(name: str) -> bool:
 
 
 def check_origin(headers: Mapping[str, str], settings: Settings) -> None:
-    """Refuses a request that a page of another origin makes."""
+    """Refuses (``Forbidden``) a request with the Origin of a page that neither this service nor an allowed site has
+    served. A request without Origin is let through."""
     origin = headers.get("origin")
     if origin is None or origin in settings.allowed_origins:
         return
@@ -69,7 +70,7 @@ def check_origin(headers: Mapping[str, str], settings: Settings) -> None:
 
 
 class OriginGuard:
-    """Lets in what ``check_host`` and ``check_origin`` let pass."""
+    """A middleware that answers requests and handshakes with the refusals of ``check_host`` and ``check_origin``."""
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self.app, self._settings = app, settings

@@ -1,7 +1,7 @@
-"""Short-lived signed tickets, which a page may hold where a key must not be: ``Tickets``.
+"""Short-lived signed tickets, which a page uses in place of a key: ``Tickets``.
 
-A ticket is ``body.signature``: base64url of JSON (key's name, expiry, a random number) and of its HMAC-SHA256. A stream
-spends its ticket; requests may use one again until it expires.
+A ticket is ``body.signature``: base64url of JSON (the key's name, the expiry, a random number) and of its HMAC-SHA256.
+A ticket opens one stream; other requests may use it until it expires.
 """
 
 from __future__ import annotations
@@ -15,25 +15,27 @@ import time
 
 from service.errors import Unauthorized
 
-LIFE_S = 60.0
+LIFE_S = 60.0  # how long a ticket is valid
 
 
 class Tickets:
-    """Makes and reads tickets under one ``secret``; a random one where none is given, which ends with the process."""
+    """Makes and checks tickets signed with ``secret``; with a random secret of this process where that is None."""
 
     def __init__(self, secret: str | None = None) -> None:
         self._secret = secret.encode() if secret else secrets.token_bytes(32)
-        self.shared = bool(secret)  # other processes may have it too
+        self.shared = bool(secret)  # whether other processes may have the same secret
         self._spent: dict[str, float] = {}
 
     def make(self, name: str, *, now_s: float | None = None) -> str:
-        """A ticket for the key ``name``, good for ``LIFE_S``."""
+        """Returns a ticket for the key ``name``, valid for ``LIFE_S``. ``now_s`` [s since 1970] is the current time by
+        default."""
         expires_s = (time.time() if now_s is None else now_s) + LIFE_S
         body = _text(json.dumps([name, expires_s, secrets.token_hex(8)]).encode())
         return f"{body}.{self._signature(body)}"
 
     def name(self, ticket: str, *, spend: bool = False, now_s: float | None = None) -> str:
-        """The name of the key it was made for; refuses (``Unauthorized``) a forged, expired or spent one."""
+        """Returns the name of the key that ``ticket`` was made for. ``spend``: it opens a stream, and none after.
+        Refuses (``Unauthorized``) a forged or expired ticket, and to ``spend`` one twice."""
         now = time.time() if now_s is None else now_s
         body, _, signature = ticket.partition(".")
         if not hmac.compare_digest(signature.encode(), self._signature(body).encode()):
@@ -49,7 +51,7 @@ class Tickets:
         return name
 
     def sign(self, raw: bytes) -> bytes:
-        """Returns the signature (32 bytes) of ``raw``, which is not a ticket and, signed, cannot be taken for one."""
+        """Returns the HMAC-SHA256 (32 bytes) of ``raw``, which is no ticket. It differs from a ticket's signature."""
         return hmac.new(self._secret, b"state\0" + raw, hashlib.sha256).digest()
 
     def _signature(self, body: str) -> str:

@@ -1,4 +1,4 @@
-"""REST: characters of users that wear garments: sent, told of, corrected, removed."""
+"""Routes for avatars, the characters of users that wear garments: upload, facts, correction, pictures, removal."""
 
 from __future__ import annotations
 
@@ -46,14 +46,17 @@ KINDS = (BINARY, "model/gltf-binary", "model/vrm")
 
 @dataclass(frozen=True)
 class Clothes:
-    """The clothes in which a character is asked about."""
+    """The clothes that a character wears in a request about it, as query parameters."""
 
     garments: Annotated[
         str, Query(max_length=1000, description="The ids of the garments that it wears, separated by commas.")
     ] = ""
     size: Annotated[
         str | None,
-        Query(max_length=40, description="One size for all garments, or a size for each, separated by commas."),
+        Query(
+            max_length=40,
+            description="One size for all garments, or a size for each, separated by commas. An empty one is M.",
+        ),
     ] = None
     alive: Annotated[bool, Query(description="Whether it also wears its own clothes as cloth.")] = False
 
@@ -62,7 +65,9 @@ ClothesHere = Annotated[Clothes, Depends()]
 
 
 class AvatarChange(schemas.Request):
-    """A correction of which node is which joint, and of which part is what. What is left out stays as it is."""
+    """A correction of a character: which nodes are its joints, and which kinds its parts have. All that is left out
+    stays as it is.
+    """
 
     joints: dict[Annotated[str, Field(max_length=40)], Annotated[str, Field(max_length=120)]] = Field(
         default={}, max_length=24, description="The name of the node of each joint, by SMPL's name of the joint."
@@ -87,38 +92,38 @@ async def add_avatar(
     alive: Annotated[bool, Query(description="Whether its own clothes become garments, which takes seconds.")] = False,
 ) -> JobInfo:
     """Uploads a character with a skeleton and a skin. The body of the request is the raw bytes of a GLB or VRM file.
-    The answer is a job: once it is done, its ``avatar`` is the id.
+    The answer is a job. Once it is done, its ``avatar`` is the avatar's id.
     """
     check_query(request.query_params, ("name", "alive"))
-    state.uploads.check_place(client)  # before anything is read
+    state.uploads.check_place(client)  # before the body is read
     stem, dot, suffix = (name or "").rpartition(".")
     stem = stem if f"{dot}{suffix.lower()}" in AVATAR_SUFFIXES else name or ""
     if not stem:
         raise InputError("name", expected="the avatar's name", got="nothing", cure="Give ?name=me.vrm.")
-    told = json.dumps({"alive": True}) if alive else None
-    job = await state.uploads.submit(stem, "glb", request.stream(), told, client, kind="avatar")
+    meaning = json.dumps({"alive": True}) if alive else None
+    job = await state.uploads.submit(stem, "glb", request.stream(), meaning, client, kind="avatar")
     response.headers["Location"] = f"/jobs/{job.id}"
     return job_info(job)
 
 
 @router.get("/avatars", response_model=list[AvatarInfo])
 async def avatars(state: StateHere, client: ClientHere) -> Response:
-    """Lists the avatars that can wear garments."""
+    """Lists the avatars that the client may use."""
     documents = b",".join(entry.document for entry in state.runtime.avatars.visible(client.name))
     return Response(b"[%b]" % documents, media_type=JSON)
 
 
 @router.get("/avatars/{avatar_id}", response_model=AvatarWears, responses=responses(NotFound))
 async def avatar(avatar_id: str, state: StateHere, client: ClientHere) -> Response:
-    """Returns one avatar: which of its nodes is which joint, how well our body fits its skin, what is what on it, and
-    which garments it can wear.
+    """Returns one avatar: which of its nodes are its joints, how well the body that stands for it fits its skin, the
+    kinds of its parts, and which garments it can wear.
     """
     entry = await state.avatar(avatar_id, client)
     known = state.runtime.garments.visible(client.name)
     why = await asyncio.to_thread(state.runtime.avatars.wears, entry.id, known)
-    told = {"wears": {key: one is None for key, one in why.items()}}
-    told |= {"wears_why": {key: one for key, one in why.items() if one is not None}}
-    return Response(entry.document[:-1] + b"," + json.dumps(told).encode()[1:], media_type=JSON)
+    wears = {"wears": {key: reason is None for key, reason in why.items()}}
+    wears |= {"wears_why": {key: reason for key, reason in why.items() if reason is not None}}
+    return Response(entry.document[:-1] + b"," + json.dumps(wears).encode()[1:], media_type=JSON)
 
 
 @router.patch(
@@ -130,36 +135,35 @@ async def avatar(avatar_id: str, state: StateHere, client: ClientHere) -> Respon
 async def change_avatar(
     avatar_id: str, request: Request, response: Response, state: StateHere, client: ClientHere
 ) -> JobInfo:
-    """Corrects which node is which joint, and which part is what. The service then makes the avatar anew from its file.
+    """Corrects which nodes are joints, and the kinds of parts. The service then makes the avatar anew from its file.
     The answer is a job: ask for its state until it has ended.
     """
     entry = await state.avatar(avatar_id, client)
-    asked = validate_document(AvatarChange, read_document(await json_text(request)))
+    change = validate_document(AvatarChange, read_document(await json_text(request)))
     if not await asyncio.to_thread(entry.source.is_file):
-        raise NotFound("avatar", expected="one whose file is stored", got="none", cure="Send the character again.")
-    if not (asked.joints or asked.parts):
+        raise NotFound("avatar", expected="one whose file is stored", got="none", cure="Upload the character again.")
+    if not (change.joints or change.parts):
         raise InputError("avatar", expected="joints or parts", got="neither", cure='Send {"parts": {"NAME": "hair"}}.')
-    kept = entry.facts.joints if asked.joints or entry.facts.found_by == TOLD else {}
+    joints = entry.facts.joints if change.joints or entry.facts.found_by == TOLD else {}
     parts = {part.name: part.kind for part in entry.facts.parts if part.sure == SURE}
-    alive = entry.facts.alive is not None
-    told = json.dumps({"joints": {**kept, **asked.joints}, "parts": {**parts, **asked.parts}, "alive": alive})
-    pieces = _pieces(entry.source)
-    job = await state.uploads.submit(entry.facts.name, "glb", pieces, told, client, kind="avatar", replaces=entry.id)
+    whole = {"joints": joints | change.joints, "parts": parts | change.parts, "alive": entry.facts.alive is not None}
+    meaning, file = json.dumps(whole), _pieces(entry.source)
+    job = await state.uploads.submit(entry.facts.name, "glb", file, meaning, client, kind="avatar", replaces=entry.id)
     response.headers["Location"] = f"/jobs/{job.id}"
     return job_info(job)
 
 
 @router.delete("/avatars/{avatar_id}", status_code=204, responses=responses(NotFound))
 async def delete_avatar(avatar_id: str, state: StateHere, client: ClientHere) -> None:
-    """Removes an avatar from the service and its disk. Streams that use it go on until they end."""
+    """Removes an avatar and its files from the service. Open streams of it go on."""
     entry = await state.avatar(avatar_id, client)
     await asyncio.shield(asyncio.to_thread(state.runtime.avatars.remove, entry))
 
 
 @router.get("/avatars/{avatar_id}/mesh", response_model=schemas.MeshDocument, responses=responses(NotFound))
 async def avatar_mesh(avatar_id: str, state: StateHere, client: ClientHere) -> Response:
-    """Returns the character's own surface [m] in the T-pose. Its vertices are welded, and it stands where our body
-    stands.
+    """Returns the character's own surface in the T-pose [m], with its vertices welded. It stands where the standard
+    body stands.
     """
     wearer = await state.wearer(avatar_id, client)
     document = {"id": avatar_id, "vertices": wearer.vertices.astype(np.float32), "faces": wearer.faces, "uv": []}
@@ -174,12 +178,12 @@ async def avatar_covered(
     client: ClientHere,
     clothes: ClothesHere,
     margin_m: Annotated[
-        float, Query(ge=0.0, le=0.5, description="How far covered faces are from hems and from what is bare [m].")
+        float, Query(ge=0.0, le=0.5, description="How far covered faces are at least from hems and from bare skin [m].")
     ] = MARGIN_M,
 ) -> CoveredFaces:
-    """Returns the faces of the character that lie wholly under its garments at rest, away from their hems, and those of
-    its own clothes that these replace. A client that draws the first a little deeper and leaves out the others keeps
-    them from showing through the cloth.
+    """Returns the faces of the character that lie wholly under its garments at rest, away from their hems, and the
+    faces of its own clothes that the garments replace. A client should draw the former a little deeper and leave the
+    latter out, so that neither shows through the cloth.
     """
     entry = await state.avatar(avatar_id, client)
     state.check_slot()
@@ -199,8 +203,8 @@ async def avatar_covered(
         bare=left.added,
         skin_colour=list(wearer.attire.skin_colour),
         primitives=[
-            CoveredPrimitive(**one.primitive._asdict(), ranges=_runs(one.ranges), hidden=_runs(one.hidden))
-            for one in of_file
+            CoveredPrimitive(**part.primitive._asdict(), ranges=_runs(part.ranges), hidden=_runs(part.hidden))
+            for part in of_file
         ],
     )
 
@@ -210,16 +214,15 @@ def _runs(ranges: np.ndarray) -> list[int]:
 
 
 async def _scene(state: StateHere, avatar_id: str, clothes: Clothes, client: ClientHere) -> Scene:
-    """The avatar's garments in these ``clothes``."""
+    """Returns the scene of the avatar in ``clothes``."""
     size, named = clothes.size, clothes.garments.split(",") if clothes.garments else []
-    sizes = size if size is None or "," not in size else [one or None for one in size.split(",")]
+    sizes = size if size is None or "," not in size else [name or None for name in size.split(",")]
     return await state.scene(None, named, client, avatar=avatar_id, size=sizes, alive=clothes.alive)
 
 
 def bare_skin(stored: Path, wearer: Wearer, left: Undressed) -> bytes:
-    """Returns the GLB of the skin of ``wearer``, stored at ``stored``, that is seen where the clothes that ``left``
-    takes off are not drawn.
-    """
+    """Returns the bytes of a GLB with the skin of ``wearer`` that is seen where the clothes that ``left`` takes off are
+    not drawn. ``stored`` is the wearer's file."""
     return bare_file(wearer, load_file_rig(stored), left).to_bytes()
 
 
@@ -229,8 +232,8 @@ def bare_skin(stored: Path, wearer: Wearer, left: Undressed) -> bytes:
     responses=responses(InputError, NotFound, TooSlow, TooLarge, kinds=(GLB,)),
 )
 async def avatar_bare(avatar_id: str, state: StateHere, client: ClientHere, clothes: ClothesHere) -> Response:
-    """Returns the skin that is bare where the garments take off clothes of the character and nothing was modelled
-    below: a GLB on the character's own nodes, to be drawn beside it.
+    """Returns the skin that is bare where the garments take off clothes of the character and its file has no skin below
+    them: a GLB skinned to the character's own nodes, to be drawn beside it.
     """
     entry = await state.avatar(avatar_id, client)
     state.check_slot()
@@ -238,10 +241,10 @@ async def avatar_bare(avatar_id: str, state: StateHere, client: ClientHere, clot
         scene = await _scene(state, avatar_id, clothes, client)
         wearer, left = await undressed_avatar(avatar_id, scene, state, client)
         if not left.added:
-            cure = "Ask only where covered tells of it."
-            raise NotFound("bare", expected="skin that comes to light", got="none", cure=cure)
-        made = await state.runtime.call_apart(bare_skin, entry.path, wearer, left)
-    return Response(made, media_type=GLB)
+            cure = "Ask only if `bare` of GET /avatars/{id}/covered is above 0."
+            raise NotFound("bare", expected="bare skin that the file has not", got="none", cure=cure)
+        content = await state.runtime.call_apart(bare_skin, entry.path, wearer, left)
+    return Response(content, media_type=GLB)
 
 
 @router.get(
@@ -261,17 +264,17 @@ async def avatar_preview(
     """Returns a picture of the character in the T-pose, seen from the front and a little from the side."""
     entry = await state.avatar(avatar_id, client)
 
-    async def made() -> bytes:
+    async def make() -> bytes:
         wearer = await state.wearer(avatar_id, client)
         sitter = Sitter(wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64))
         return await state.runtime.call_apart(portrait, sitter, None, size)
 
     made_of = f"{entry.facts.digest}-{size}".encode()
-    return await state.previews.answer(made_of, made, asked=request.headers, kind=PNG, packed=False)
+    return await state.previews.answer(made_of, make, request_headers=request.headers, kind=PNG, packed=False)
 
 
-async def _pieces(file: Path) -> AsyncIterator[bytes]:
-    """The bytes of ``file``."""
-    with await asyncio.to_thread(file.open, "rb") as held:
-        while piece := await asyncio.to_thread(held.read, PIECE_BYTES):
+async def _pieces(path: Path) -> AsyncIterator[bytes]:
+    """Yields the bytes of the file ``path`` in pieces."""
+    with await asyncio.to_thread(path.open, "rb") as file:
+        while piece := await asyncio.to_thread(file.read, PIECE_BYTES):
             yield piece

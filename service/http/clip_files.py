@@ -1,4 +1,7 @@
-"""Clips as files: GLB with a garment's frames or a skinned body, PC2, USD and vertex animation textures."""
+"""Writes clips as files: GLB with a garment's frames or a skinned body, PC2, USD and vertex animation textures.
+
+A function that returns a ``GlbFile`` also returns its head: the bytes of the file before its binary data.
+"""
 
 from __future__ import annotations
 
@@ -40,36 +43,36 @@ if TYPE_CHECKING:
 
 
 def rest_file(garment: Garment) -> tuple[GlbFile, bytes]:
-    """Returns a GLB of ``garment`` at rest, and the bytes that it begins with."""
+    """Returns a GLB of what is drawn of ``garment``, at rest, and its head."""
     file = GlbFile()
     glb.add_garment(file, garment.surface, garment.drawn_at_rest()[None], fps=1.0)
     return file, file.head()
 
 
 def garment_file(
-    scene: Scene, placed: Placed, asked: ClipOptions, clip: PoseInput, model: BodyModel
+    scene: Scene, placed: Placed, request: ClipOptions, clip: PoseInput, model: BodyModel
 ) -> tuple[GlbFile, bytes]:
-    """Returns a GLB of the garments of ``scene`` over ``clip``, where they are ``placed``, and the bytes that it begins
-    with. If it is ``asked``, the body ``model`` is in it too."""
+    """Returns a GLB of the garments of ``scene`` with ``placed``, their vertices in the frames of ``clip``, and its
+    head. ``request`` says whether the body ``model`` is in it too, and whether positions are quantised."""
     file, start = GlbFile(), 0
     vertices, point = placed.from_first()
     root_motion = None
-    if asked.quantised:
+    if request.quantised:
         root_motion = RootMotion(clip.poses[:, 0], clip.trans + model.rest_joints(clip.betas)[0] - point)
     for layer, worn in enumerate(scene.layers):
         colour = glb.GARMENT_COLOURS[layer % len(glb.GARMENT_COLOURS)]
         own = vertices[:, start : start + worn.vertex_count]
-        glb.add_garment(file, worn.garment.surface, own, asked.fps, colour, root_motion=root_motion)
+        glb.add_garment(file, worn.garment.surface, own, request.fps, colour, root_motion=root_motion)
         start += worn.vertex_count
-    if asked.body:
-        add_body(file, model, clip.betas, clip.poses, clip.trans - point, asked.fps)
-    if asked.origin == "root":
+    if request.body:
+        add_body(file, model, clip.betas, clip.poses, clip.trans - point, request.fps)
+    if request.origin == "root":
         file.place("root", point)
     return file, file.head()
 
 
 def dress_scene(scene: Scene, placed: Placed) -> list[Dressed]:
-    """The garments of ``scene`` where they are ``placed``, each in its colour."""
+    """Returns each garment of ``scene`` with its vertices of ``placed`` and its colour."""
     return [
         Dressed(worn.garment, own, glb.GARMENT_COLOURS[i % len(glb.GARMENT_COLOURS)])
         for i, (worn, own) in enumerate(zip(scene.layers, by_layer(scene.layers, placed.vertices), strict=True))
@@ -88,15 +91,15 @@ def on_rig_file(
     quantised: bool,
     joints: int | None,
 ) -> tuple[GlbFile, bytes]:
-    """Returns a GLB of the garments ``layers`` on the rig of ``wearer``, whose file is ``stored``, over ``clip``, and
-    the bytes that it begins with.
+    """Returns a GLB of the garments ``layers`` on the rig of ``wearer``, whose file is ``stored``, in the frames of
+    ``clip``, and its head.
 
-    ``turns`` (F, N, 4) are the quaternions of the rig's nodes, if the client sent these. The garments have ``joints``
-    joints of their own each, or morph targets if that is None. What ``left`` says is seen of the character is in it
-    too.
+    ``turns`` (F, N, 4) are the rig's own quaternions (xyzw) of its N nodes, None unless the client sent these. Each
+    garment has ``joints`` joints of its own, or morph targets if that is None. Skin that ``left`` adds, where clothes
+    are taken off, is in the file too.
     """
     quaternions, places = wearer.to_rig(clip.poses, clip.trans)
-    # Nodes that no joint of ours moves turn as they were told.
+    # With turns of a client those nodes move too that none of the 24 joints moves.
     moves = RigClip(quaternions if turns is None else turns, places, fps)
     rig, file = load_file_rig(stored), GlbFile()
     nodes = add_nodes(file, rig.skeleton)
@@ -110,25 +113,25 @@ def on_rig_file(
             jointed.append(Jointed(layer.garment.surface, distilled, layer.colour))
         add_clip(file, jointed, [layer.vertices for layer in layers], motion, nodes, wearer.scale)
     if left.added:
-        body, cloth = wearer.body, [(one.garment.vertices, one.garment.faces) for one in layers]
+        body, cloth = wearer.body, [(layer.garment.vertices, layer.garment.faces) for layer in layers]
         unseen = covered_faces(body.v_template, body.faces, cloth, margin_m=UNSEEN_M)
         add_bare(file, nodes, wearer, rig, left._replace(bare=left.bare & ~unseen, deep=None))
     return file, file.head()
 
 
-def body_file(body: BodyModel, clip: PoseInput, asked: PosedOptions) -> tuple[GlbFile, bytes]:
-    """Returns a GLB of the posed ``body`` over ``clip``, and the bytes that it begins with."""
+def body_file(body: BodyModel, clip: PoseInput, request: PosedOptions) -> tuple[GlbFile, bytes]:
+    """Returns a GLB of ``body`` as a skinned mesh in the frames of ``clip``, and its head."""
     file = GlbFile()
-    point = clip.trans[0] + body.rest_joints(clip.betas)[0] if asked.origin == "root" else np.zeros(3)
-    add_body(file, body, clip.betas, clip.poses, clip.trans - point, asked.fps)
-    if asked.origin == "root":
+    point = clip.trans[0] + body.rest_joints(clip.betas)[0] if request.origin == "root" else np.zeros(3)
+    add_body(file, body, clip.betas, clip.poses, clip.trans - point, request.fps)
+    if request.origin == "root":
         file.place("root", point)
     return file, file.head()
 
 
 def move_garments(scene: Scene, placed: Placed) -> tuple[list[MovingGarment], np.ndarray]:
-    """Returns the garments of ``scene`` where they are ``placed``, and the point [m] (3,) in the world that they count
-    from: the first frame's root, or the origin."""
+    """Returns each garment of ``scene`` with its vertices of ``placed`` and its colour, and the point [m] (3,) of the
+    world that vertices are relative to: the root joint in the first frame, or the origin."""
     vertices, point = placed.from_first()
     layers = [
         MovingGarment(entry.garment.surface, own, glb.GARMENT_COLOURS[i % len(glb.GARMENT_COLOURS)])
@@ -138,13 +141,13 @@ def move_garments(scene: Scene, placed: Placed) -> tuple[list[MovingGarment], np
 
 
 def point_cache(placed: Placed) -> Iterator[bytes]:
-    """Yields ``placed`` as a PC2 file, in pieces."""
+    """Returns an iterator over the bytes of a PC2 file with the vertices of ``placed``, in pieces."""
     vertices, _ = placed.from_first()
     return itertools.chain([pc2_head(vertices.shape[1], len(vertices))], number_bytes(vertices))
 
 
 def check_package(kind: str) -> None:
-    """Refuses (``Unavailable``) a file of ``kind`` for which a package is missing."""
+    """Refuses (``Unavailable``) a file of the media type ``kind`` if the package that writes it is missing."""
     if kind == USDZ:
         check_usd()
     if kind == VAT:
@@ -152,8 +155,8 @@ def check_package(kind: str) -> None:
 
 
 def pack_scene(layers: list[MovingGarment], point: np.ndarray, fps: float, kind: str) -> bytes:
-    """Returns ``layers``, which count from ``point`` [m] (3,), as one file of ``kind``: a USDZ, or a ZIP with the files
-    of a vertex animation texture."""
+    """Returns the bytes of a file with ``layers``, whose vertices are relative to ``point`` [m] (3,), at ``fps`` frames
+    per second: a USDZ, or else a ZIP with the files of a vertex animation texture, as the media type ``kind`` says."""
     if kind == USDZ:
         return usd_file(layers, fps, ".usdz", point=point)
     out, names = io.BytesIO(), "_".join(layer.surface.name for layer in layers)

@@ -1,6 +1,6 @@
-"""A clip that is draped for a client: the headers of its answer, and its frames as they are ready.
+"""Answers with a draped clip: their headers, and answers whose frames are sent as soon as they are computed.
 
-A streamed answer holds one chunk of a clip of any length: the next is computed when the last has been sent."""
+Such a streamed answer keeps one chunk of the clip in memory. The next is computed when the last has been sent."""
 
 from __future__ import annotations
 
@@ -34,29 +34,31 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class RequestedClip:
-    """A clip of one client: the ``plan`` and the ``clip`` that ``asked`` came to. ``turns`` (F, N, 4): the quaternions
-    of an avatar's own rig, xyzw, where these were sent."""
+    """A clip that ``client`` asks for: its ``request``, and the ``plan`` and the motion (``clip``) made of that.
+    ``turns`` (F, N, 4) are the quaternions (xyzw) of the N nodes of an avatar's own rig, None unless these were
+    sent."""
 
     plan: Plan
     clip: PoseInput
-    asked: ClipOptions
+    request: ClipOptions
     client: Client
     turns: np.ndarray | None = None
 
     def remember(self, memories: Memories, state: State, token: str | None = None) -> dict[str, str]:
-        """Keeps the ``memories`` of the clip's last frame under ``token``, a new one by default. Returns the header
-        that names it; none, if the request did not ask for that."""
-        if not self.asked.keep:
+        """Keeps ``memories``, those after the clip's last frame, under ``token``, a new one by default. Returns the
+        header X-Drape-Past with the token. Does nothing and returns no header unless the request says ``keep``."""
+        if not self.request.keep:
             return {}
         token = token or state.continuations.token()
         frames = self.clip.sequence + len(self.clip.poses)
-        past = Continuation(self.plan, self.clip.betas, self.asked.fps, frames, memories)
+        past = Continuation(self.plan, self.clip.betas, self.request.fps, frames, memories)
         state.continuations.put(token, past, self.client.name)
         return {"X-Drape-Past": token}
 
 
 def plan_headers(plan: Plan, runtime: DrapeRuntime) -> dict[str, str]:
-    """Headers that are known before a frame is computed: model, tier, passes, steps of folds, motion."""
+    """Returns the headers that are known before a frame is computed: model, push-out, tier, passes, steps of folds,
+    motion knob, and the garments of an outfit."""
     options, numbers, scene = plan.options, plan.options.advanced, plan.shown
     headers = {
         "X-Drape-Model": runtime.engine.manifest.digest[:16],
@@ -73,7 +75,7 @@ def plan_headers(plan: Plan, runtime: DrapeRuntime) -> dict[str, str]:
 
 
 def quality_headers(draped: Batch) -> dict[str, str]:
-    """Headers that are known when all frames are computed."""
+    """Returns the headers with figures of all frames of ``draped``: push-out, novelty, and folds begun anew."""
     return {
         "X-Drape-Pushed-Share": f"{draped.quality.pushed_share.mean():.6f}",
         "X-Drape-Push-Max-M": f"{draped.quality.push_max_m.max():.6f}",
@@ -84,13 +86,15 @@ def quality_headers(draped: Batch) -> dict[str, str]:
 
 
 def floor_headers(clip: PoseInput, body: BodyModel) -> dict[str, str]:
-    """A header with a sentence if the feet of ``clip`` are not on the floor; otherwise none."""
+    """Returns the header X-Drape-Note with a sentence if the feet of ``body`` are not on the floor in ``clip``;
+    otherwise no header."""
     note = floor_note(clip.poses, clip.trans, body.rest_joints(clip.betas), floor=body.floor_m(clip.betas))
     return {"X-Drape-Note": note} if note else {}
 
 
 def jets_headers(frames: int, scene: Scene) -> dict[str, str]:
-    """Headers of an answer of ``frames`` JETS messages."""
+    """Returns the headers of an answer with ``frames`` JETS messages: numbers of frames and patches, origin, and the
+    garments of an outfit."""
     headers = {"X-Drape-Frames": str(frames), "X-Drape-Patches": str(scene.patch_count), "X-Drape-Origin": "root"}
     if isinstance(scene, Outfit):
         worn = layer_list(scene, patches=True)
@@ -99,7 +103,8 @@ def jets_headers(frames: int, scene: Scene) -> dict[str, str]:
 
 
 def jets_response(draped: Batch, headers: dict[str, str], sliced_thread: SlicedThread) -> Response:
-    """The clip as one JETS message per frame; sequence and client time are the frame's number and time [s]."""
+    """Returns the response with one JETS message for each frame of ``draped``. Its sequence is the number of the frame,
+    its client time the time of the frame in the clip [s]."""
     scene = draped.plan.shown
     headers = headers | jets_headers(len(draped.messages), scene)
     headers["X-Drape-Left-M"] = f"{draped.quality.left_m.max():.6f}"
@@ -107,7 +112,8 @@ def jets_response(draped: Batch, headers: dict[str, str], sliced_thread: SlicedT
 
 
 class _Frames(StreamingResponse):
-    """Ends its frames with itself, whether they were all sent or the client went away: their place is free then."""
+    """A streamed response that closes ``frames`` when it ends, also where the client goes away, so that the clip no
+    longer counts as in progress."""
 
     def __init__(self, frames: AsyncGenerator[bytes], kind: str, headers: dict[str, str]) -> None:
         super().__init__(frames, media_type=kind, headers=headers)
@@ -119,9 +125,10 @@ class _Frames(StreamingResponse):
 
 
 async def streamed_answer(job: RequestedClip, state: State, kind: str) -> StreamingResponse:
-    """The frames of ``job``, binary or PC2.
+    """Returns the response that sends the frames of ``job`` as they are computed, in the media type ``kind``: binary or
+    PC2.
 
-    The first chunk is computed before the head is sent, so that a refusal is still an answer of its own.
+    The first chunk is computed before this returns, so that a refusal can still be answered with its own status.
     """
     size, headers = _streamed_size(job), plan_headers(job.plan, state.runtime) | _streamed_headers(job)
     head = b""
@@ -129,7 +136,7 @@ async def streamed_answer(job: RequestedClip, state: State, kind: str) -> Stream
         frames, vertices = len(job.clip.poses), job.plan.shown.vertex_count
         head, size = pc2_head(vertices, frames), HEAD_BYTES + 12 * frames * vertices
     token = state.continuations.token()
-    if job.asked.keep:
+    if job.request.keep:
         headers["X-Drape-Past"] = token
     pieces = _pieces(job, state, token, kind)
     frames_sent = _after(head + await anext(pieces), pieces)
@@ -137,20 +144,20 @@ async def streamed_answer(job: RequestedClip, state: State, kind: str) -> Stream
 
 
 def _streamed_size(job: RequestedClip) -> int:
-    """Bytes of all frames of ``job`` in a binary answer."""
+    """Returns the bytes of a binary answer with all frames of ``job``."""
     scene, frames = job.plan.shown, len(job.clip.poses)
-    if job.asked.geometry == "jets":
+    if job.request.geometry == "jets":
         return frames * message_bytes(scene.patch_count)
-    return frames * (12 * scene.vertex_count + (24 if job.asked.origin == "root" else 0))
+    return frames * (12 * scene.vertex_count + (24 if job.request.origin == "root" else 0))
 
 
 def _streamed_headers(job: RequestedClip) -> dict[str, str]:
-    """Headers about the frames of a streamed answer."""
+    """Returns the headers about the frames of a streamed answer."""
     scene, frames = job.plan.shown, len(job.clip.poses)
-    if job.asked.geometry == "jets":
+    if job.request.geometry == "jets":
         return jets_headers(frames, scene)
     headers = {"X-Drape-Frames": str(frames), "X-Drape-Vertices": str(scene.vertex_count)}
-    return headers | {"X-Drape-Origin": job.asked.origin}
+    return headers | {"X-Drape-Origin": job.request.origin}
 
 
 async def _after(first: bytes, rest: AsyncGenerator[bytes]) -> AsyncGenerator[bytes]:
@@ -161,24 +168,24 @@ async def _after(first: bytes, rest: AsyncGenerator[bytes]) -> AsyncGenerator[by
 
 
 async def _pieces(job: RequestedClip, state: State, token: str, kind: str) -> AsyncGenerator[bytes]:
-    """The bytes of the answer; holds a place for a clip meanwhile."""
+    """Yields the bytes of the answer. The clip counts as in progress meanwhile."""
     tail: list[bytes] = []
     first_root = None
     with state.access.using(job.client, "clips"), state.slot():
         done = 0
         async for part in state.runtime.parts(job.plan, job.clip):
             done += len(part.inputs[0].poses)
-            if done == len(job.clip.poses):  # before the last bytes: a client may leave with them, and go on
+            if done == len(job.clip.poses):  # before the last bytes, as the client may ask for more once it has them
                 job.remember(part.memories[0], state, token)
             placed = None
-            if job.asked.geometry == "vertices":
-                placed = part.placed(job.asked.origin)
+            if job.request.geometry == "vertices":
+                placed = part.placed(job.request.origin)
                 first_root = part.root[0] if first_root is None else first_root
                 if kind == PC2:
                     placed = placed.counted_from(first_root)
                 tail += [placed.tail] if placed.tail else []
             pieces = iter(part.messages) if placed is None else number_bytes(placed.vertices)
-            async for piece in state.sliced_thread.each(pieces):
+            async for piece in state.sliced_thread.run_pieces(pieces):
                 yield piece
         for piece in tail:
             yield piece

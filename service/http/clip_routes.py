@@ -1,4 +1,4 @@
-"""REST: draped clips and posed bodies."""
+"""Routes for draped clips and posed bodies."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ if TYPE_CHECKING:
     from service.settings import Settings
 
 router = APIRouter()
-NUMBER_TEXT_BYTES = 20  # of one coordinate in JSON
+NUMBER_TEXT_BYTES = 20  # of one coordinate in JSON, with its comma
 KINDS = (BINARY, GLB, JSON)
 FILES = (*KINDS, PC2, USDA, USDZ, VAT)
 PLACE_AND_NORMAL_BYTES = 24
@@ -92,27 +92,27 @@ Result = TypeVar("Result")
 async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> Response:
     """Drapes a garment, or an outfit, on a moving body. Positions are in metres, in the world's axes.
 
-    The Accept header chooses the format: binary float32 (frames, vertices, 3), GLB, JSON, PC2, USD (text
-    or USDZ), or a vertex animation texture as a ZIP. The vertices of
-    an outfit's garments follow each other, and X-Drape-Garments says how many each has. With ``origin`` root positions
-    count from each frame's root joint; the roots follow them as float64 (frames, 3). With ``geometry`` jets the answer
-    is binary and holds a JETS message for each frame (docs/reference/wire.md). With ``streamed`` frames leave as soon
-    as they are ready. ``keep`` and ``past`` send a long clip in pieces. With ``rig_poses`` in place of ``poses`` an
-    avatar moves by its own rig (docs/guide/avatars.md). With ``tier`` exact the answer is 202 and a job.
+    The Accept header chooses the format: binary float32 (frames, vertices, 3), GLB, JSON, PC2, USD (text or USDZ), or a
+    vertex animation texture as a ZIP. The vertices of an outfit's garments follow each other; X-Drape-Garments says how
+    many each has. With ``origin`` root positions are relative to each frame's root joint, and the positions of the root
+    joints follow as float64 (frames, 3). With ``geometry`` jets the answer is binary and holds a JETS message for each
+    frame (docs/reference/wire.md). With ``streamed`` frames are sent as soon as they are computed. ``keep`` and
+    ``past`` split a long clip into several requests. With ``rig_poses`` in place of ``poses`` an avatar moves by its
+    own rig (docs/guide/avatars.md). With ``tier`` exact the answer is 202 and a job.
     """
-    state.check_slot()  # before anything is read
-    asked, clip, turns, told_where = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state, client)
+    state.check_slot()  # before the body is read
+    asked, clip, turns, has_trans = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state, client)
     if asked.tier == EXACT:
-        job = exact_clips.exact_job_info(await exact_clips.submitted(asked, clip, state, client))
+        job = exact_clips.exact_job_info(await exact_clips.submit_clip(asked, clip, state, client))
         where = {"Location": f"/jobs/{job.id}"}
         return Response(job.model_dump_json(), status_code=202, media_type=JSON, headers=where)
     kind = choose(request.headers.get("accept"), _offered(asked))
     check_rig(asked, kind)
     check_package(kind)
-    scene = await state.worn(asked, client)
+    scene = await state.requested_scene(asked, client)
     plan = state.runtime.plan(scene, asked, messages=asked.geometry == "jets")
     if asked.past is not None:
-        clip = state.continuations.get(asked.past, client.name).followed_by(plan, clip, asked.fps)
+        clip = state.continuations.get(asked.past, client.name).continue_by(plan, clip, asked.fps)
     job = RequestedClip(plan, clip, asked, client, turns)
     if asked.streamed:
         return await streamed_answer(job, state, kind)
@@ -120,7 +120,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     with state.access.using(client, "clips"), state.slot():
         draped = await state.runtime.drape(plan, clip)
         headers = quality_headers(draped) | plan_headers(plan, state.runtime) | job.remember(draped.memories[0], state)
-        headers |= await asyncio.to_thread(floor_headers, clip, state.runtime.on(scene).body) if told_where else {}
+        headers |= await asyncio.to_thread(floor_headers, clip, state.runtime.on(scene).body) if has_trans else {}
         if asked.geometry == "jets":
             return jets_response(draped, headers, state.sliced_thread)
         return await _clip_answer(job, draped, kind, headers, state)
@@ -132,31 +132,31 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     responses=responses(NotFound, NotAcceptable, TooLarge, kinds=FILES),
 )
 async def exact_clip(job_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
-    """Returns the finished clip of tier exact in any format of POST /drape. ``body``, ``origin`` and ``quantised`` are
-    those of the request that made the job.
+    """Returns the finished clip of tier exact in any format of POST /drape. The options ``body``, ``origin`` and
+    ``quantised`` are those of the request that made the job.
     """
     stored = state.exact.find(job_id, client.name)
     if stored is None:
-        cure = "POST /drape with tier exact."
+        cure = "Send POST /drape with tier exact; its answer has the id."
         raise NotFound("job", expected="the id of a clip of tier exact", got=job_id[:120], cure=cure)
     kind = choose(request.headers.get("accept"), FILES)
     check_package(kind)
     with state.access.using(client, "clips"), state.slot():
-        job, draped, headers = await exact_clips.finished(stored, state, client)
+        job, draped, headers = await exact_clips.finished_clip(stored, state, client)
         check_clip_size(job, kind, state.runtime.settings)
         return await _clip_answer(job, draped, kind, headers, state)
 
 
 def _offered(asked: schemas.ClipOptions) -> tuple[str, ...]:
-    """The media types in which what is ``asked`` for can come."""
+    """Returns the media types that the answer to a request with the options ``asked`` can have."""
     if asked.geometry == "jets":
         return (BINARY,)
     return (BINARY, PC2) if asked.streamed else FILES
 
 
 async def _clip_answer(job: RequestedClip, draped: Batch, kind: str, headers: dict[str, str], state: State) -> Response:
-    """The vertices of ``draped`` as ``kind``."""
-    scene, asked = job.plan.shown, job.asked
+    """Returns the response with the vertices of ``draped`` in the media type ``kind``."""
+    scene, asked = job.plan.shown, job.request
     apart, placed = state.runtime.threads.apart, await _of_array(draped.vertices, draped.placed, asked.origin)
     if kind == GLB and asked.rig and asked.avatar is not None:
         wearer, left = await undressed_avatar(asked.avatar, scene, state, job.client)
@@ -164,19 +164,21 @@ async def _clip_answer(job: RequestedClip, draped: Batch, kind: str, headers: di
         on_rig = partial(on_rig_file, fps=asked.fps, quantised=asked.quantised, joints=asked.joints)
         dressed_layers = await apart(dress_scene, scene, placed)
         file = await state.runtime.call_apart(on_rig, dressed_layers, wearer, stored, job.clip, job.turns, left)
-        return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
+        return file_answer(*file, state.sliced_thread, await _placed_headers(placed) | headers)
     if kind == GLB:
         file = await apart(garment_file, scene, placed, asked, job.clip, state.runtime.on(scene).body)
-        return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
+        return file_answer(*file, state.sliced_thread, await _placed_headers(placed) | headers)
     if kind == PC2:
         pieces = await apart(point_cache, placed)
-        return StreamingResponse(state.sliced_thread.each(pieces), media_type=kind, headers=placed.headers | headers)
+        return StreamingResponse(
+            state.sliced_thread.run_pieces(pieces), media_type=kind, headers=placed.headers | headers
+        )
     if kind in (USDA, USDZ, VAT):
         layers, point = await apart(move_garments, scene, placed)
         headers = placed.headers | headers
         if kind == USDA:
             pieces = usda_pieces(layers, asked.fps, point=point)
-            return StreamingResponse(state.sliced_thread.each(pieces), media_type=kind, headers=headers)
+            return StreamingResponse(state.sliced_thread.run_pieces(pieces), media_type=kind, headers=headers)
         return Response(await state.runtime.call_apart(pack_scene, layers, point, asked.fps, kind), 200, headers, kind)
     worn = layer_list(scene) if isinstance(scene, Outfit) else None
     return await _vertices_answer(placed, asked.fps, kind, state, headers=headers, worn=worn)
@@ -189,7 +191,9 @@ async def _clip_answer(job: RequestedClip, draped: Batch, kind: str, headers: di
     responses=responses(*CLIP_REFUSALS, kinds=KINDS),
 )
 async def posed_body(body_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
-    """Returns the vertices of the posed body, for the poses and in the formats of POST /drape."""
+    """Returns the vertices [m] of the posed body. Poses are sent as in POST /drape; the formats are binary, GLB and
+    JSON.
+    """
     runtime = state.runtime
     runtime.check_body_id(body_id)
     state.check_slot()
@@ -215,11 +219,13 @@ async def posed_body(body_id: str, request: Request, state: StateHere, client: C
     responses=responses(*CLIP_REFUSALS, kinds=(BINARY, JSON)),
 )
 async def posed_avatar(avatar_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
-    """Returns the vertices of a character's own surface, in the same poses as the garments draped on it."""
+    """Returns the vertices [m] of a character's own surface, posed as POST /drape poses it under garments. Formats are
+    binary and JSON.
+    """
     await state.avatar(avatar_id, client)
     state.check_slot()
-    told = schemas.PosedRequest, schemas.PosedOptions
-    asked, clip, _, _ = await _clip(*told, request, state, client, avatar=avatar_id)
+    models = schemas.PosedRequest, schemas.PosedOptions
+    asked, clip, _, _ = await _clip(*models, request, state, client, avatar=avatar_id)
     kind = choose(request.headers.get("accept"), (BINARY, JSON))
     wearer = await state.wearer(avatar_id, client)
     _check_size(kind, len(clip.poses), len(wearer.vertices), state.runtime.settings)
@@ -236,10 +242,11 @@ async def _clip(
     *,
     avatar: str | None = None,
 ) -> tuple[Asked, PoseInput, np.ndarray | None, bool]:
-    """The body of ``request``, JSON as a ``whole`` or a CLIP message, and its checked motion.
+    """Reads the body of ``request``: JSON of the model ``whole``, or a CLIP message with fields of ``options``.
 
-    Poses of the own rig of the ``avatar``, or of that which the body names, become ours; these quaternions follow, and
-    whether the body says where the root is.
+    Returns the fields, the checked motion, the quaternions (F, N, 4) (xyzw) of an avatar's own rig, None unless these
+    were sent, and whether root translations were sent. Poses of a rig, that of ``avatar`` or of the avatar that the
+    request names, become those of the 24 joints.
     """
     most, brief = state.runtime.settings.max_frames, state.sliced_thread.brief
     asked: Any
@@ -257,10 +264,10 @@ async def _clip(
         poses, trans = asked.rig_poses if on_rig else asked.poses, asked.trans
     avatar = getattr(asked, "avatar", None) if avatar is None else avatar
     wearer = None if avatar is None else await state.wearer(avatar, client)
-    turns, told_where = None, trans is not None
+    turns, has_trans = None, trans is not None
     if on_rig:
         if wearer is None:
-            cure = "Name the avatar whose nodes these are, or send poses of ours."
+            cure = "Name the avatar whose nodes these are, or send poses of the 24 joints."
             raise InputError("avatar", expected="the avatar whose rig is posed", got="none", cure=cure)
         check_rig_frames(poses, trans, most)
         turns = await asyncio.to_thread(rotations, poses, len(wearer.nodes))
@@ -268,25 +275,28 @@ async def _clip(
     body = state.runtime.body if wearer is None else wearer.body
     poses, trans = await brief(sent, partial(motion_arrays, poses, trans, max_frames=most))
     clip = PoseInput(poses, trans, shape_array(asked.betas, body), np.arange(len(poses)) / asked.fps)
-    return asked, clip, turns, told_where
+    return asked, clip, turns, has_trans
 
 
 def check_rig_frames(rig_poses: Sized, trans: Sized | None, most: int) -> None:
-    """Refuses more than ``most`` poses of a rig, and another number of places ``trans`` than of poses."""
+    """Refuses (``TooLarge``) more than ``most`` frames of ``rig_poses``, and (``MotionError``) another number of places
+    ``trans`` than of frames."""
     frames = len(rig_poses)
     if frames > most:
-        raise TooLarge("rig_poses", expected=f"at most {most} frames", got=str(frames), cure="Send fewer.")
+        cure = "Send the clip in pieces."
+        raise TooLarge("rig_poses", expected=f"at most {most} frames", got=str(frames), cure=cure)
     if trans is not None and len(trans) != frames:
         cure = "Send as many as rig_poses, or none."
-        raise MotionError("trans", expected=f"{frames}, one a frame", got=str(len(trans)), cure=cure)
+        raise MotionError("trans", expected=f"{frames} places, one a frame", got=str(len(trans)), cure=cure)
 
 
 def check_rig(asked: schemas.ClipOptions, kind: str) -> None:
-    """Refuses (``InputError``) a file on a rig for the standard body, and options that such a file cannot hold."""
+    """Refuses (``InputError``) ``rig`` without an avatar or with options that such a file cannot have, in another media
+    type ``kind`` than GLB, and ``joints`` without ``rig``."""
     if not asked.rig:
         if asked.joints is not None:
             raise InputError(
-                "joints", expected="rig: true with it", got="no rig", cure="Ask for rig, or leave joints out."
+                "joints", expected="rig: true beside it", got="no rig", cure="Ask for rig, or leave joints out."
             )
         return
     if kind != GLB:
@@ -296,18 +306,19 @@ def check_rig(asked: schemas.ClipOptions, kind: str) -> None:
         raise InputError("rig", expected="an avatar, which has a rig of its own", got="none", cure=cure)
     if asked.body or asked.origin == "root":
         got = "body" if asked.body else "origin root"
-        cure = "The character is your own file, and stands where its pelvis is."
+        cure = "Leave it out: the file has only garments, to be drawn with the character's own file, in its world."
         raise InputError("rig", expected="garments alone, in the world of the rig", got=got, cure=cure)
 
 
 def check_clip_size(job: RequestedClip, kind: str, settings: Settings) -> None:
-    """Refuses (``TooLarge``) the clip of ``job`` where its answer as ``kind`` would be too large."""
+    """Refuses (``TooLarge``) the clip of ``job`` if its answer in the media type ``kind`` would exceed
+    ``DRAPE_MAX_ANSWER_BYTES``."""
     scene, frames = job.plan.shown, len(job.clip.poses)
-    if job.asked.geometry == "jets":
+    if job.request.geometry == "jets":
         patches = scene.patch_count
         check_answer(frames * message_bytes(patches), f"{frames} frames of {patches} patches", settings)
         return
-    glb_bytes = 24 if not job.asked.quantised else 16 if job.asked.rig else 12
+    glb_bytes = 24 if not job.request.quantised else 16 if job.request.rig else 12
     _check_size(kind, frames, scene.vertex_count, settings, glb_bytes=glb_bytes)
 
 
@@ -318,13 +329,13 @@ def _check_size(kind: str, frames: int, vertices: int, settings: Settings, *, gl
     check_answer(frames * vertices * per_vertex[kind], f"{frames} frames of {vertices} vertices", settings)
 
 
-async def _said(placed: Placed) -> dict[str, str]:
-    """The headers of ``placed``, for which every coordinate is looked at."""
+async def _placed_headers(placed: Placed) -> dict[str, str]:
+    """Returns the headers of ``placed``, which depend on every coordinate."""
     return await _of_array(placed.vertices, lambda: placed.headers)
 
 
 async def _of_array(array: np.ndarray, function: Callable[..., Result], *arguments: object) -> Result:
-    """``function(*arguments)``, which reads ``array``: at once where that is small, else on a thread."""
+    """Returns ``function(*arguments)``, which reads ``array``: called here if that is small, else on a thread."""
     return function(*arguments) if array.nbytes <= BRIEF_BYTES else await asyncio.to_thread(function, *arguments)
 
 
@@ -337,7 +348,7 @@ async def _vertices_answer(
     headers: dict[str, str] | None = None,
     worn: list[dict[str, str | int]] | None = None,
 ) -> Response:
-    vertices, headers = placed.vertices, await _said(placed) | (headers or {})
+    vertices, headers = placed.vertices, await _placed_headers(placed) | (headers or {})
     if kind == BINARY:
         return binary_answer(vertices, state.sliced_thread, headers, tail=placed.tail)
     document: dict[str, Any] = {"fps": fps, "frames": len(vertices), "vertices": vertices.shape[1]}

@@ -1,4 +1,4 @@
-"""The end of a clip, kept for the request that goes on from there: a clip in pieces is the whole clip."""
+"""Keeps the end of a clip for the request that continues it, so that a clip in pieces equals the whole clip."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from drape.stages.batch import Memories, PoseInput
 from drape.stages.plan import Plan
 
 MOST = 32
-LIFE_S = 120.0  # a client asks for the next piece at once
+LIFE_S = 120.0  # long enough, as clients ask for the next piece at once
 
 
 @dataclass(frozen=True, eq=False)
 class Continuation:
-    """The end of a clip: the stages' ``memories`` after so many ``frames`` of a clip of ``plan`` at ``fps``, on a body
-    of the shape ``betas`` (S,)."""
+    """The end of a clip: the stages' ``memories`` after its first ``frames`` frames. The clip is of ``plan``, at
+    ``fps`` frames per second, on a body of the shape ``betas`` (S,)."""
 
     plan: Plan
     betas: np.ndarray
@@ -28,9 +28,9 @@ class Continuation:
     frames: int
     memories: Memories
 
-    def followed_by(self, plan: Plan, clip: PoseInput, fps: float) -> PoseInput:
-        """Returns ``clip`` as the input that goes on from here. Refuses (``InputError``) another plan, shape or number
-        of frames a second."""
+    def continue_by(self, plan: Plan, clip: PoseInput, fps: float) -> PoseInput:
+        """Returns ``clip`` with the memories, times and frame numbers that continue this clip. Refuses (``InputError``)
+        a clip of another plan, shape or number of frames per second."""
         if plan != self.plan or fps != self.fps or not np.array_equal(clip.betas, self.betas):
             raise InputError(
                 "past",
@@ -43,51 +43,53 @@ class Continuation:
 
 
 @dataclass(frozen=True, eq=False)
-class _Kept:
+class _Entry:
     past: Continuation
     owner: str | None
     until_s: float
 
 
 class Continuations:
-    """The last ``MOST`` continuations by their tokens, of all clients together, each for ``LIFE_S``.
+    """The latest ``MOST`` continuations of all clients together, by their tokens, each kept for ``LIFE_S``.
 
-    One may be followed more than once, so that a request whose answer was lost can be sent again.
+    One may be used more than once, so that a request whose answer was lost can be sent again.
     """
 
     def __init__(self) -> None:
-        self._kept: dict[str, _Kept] = {}
+        self._entries: dict[str, _Entry] = {}
 
     def __len__(self) -> int:
-        return len(self._kept)
+        return len(self._entries)
 
     @staticmethod
     def token() -> str:
-        """Returns a new random name, under which a clip's end will be kept."""
+        """Returns a new random token, for ``put``."""
         return secrets.token_urlsafe(18)
 
     def put(self, token: str, past: Continuation, owner: str | None) -> None:
-        """Keeps ``past`` for the key ``owner``; where there are too many, the key that has most loses its oldest."""
+        """Keeps ``past`` under ``token`` for the key ``owner``. Where there are more than ``MOST``, the oldest of the
+        key with the most is dropped."""
         self._drop_old()
-        self._kept[token] = _Kept(past, owner, time.monotonic() + LIFE_S)
-        while len(self._kept) > MOST:
-            ((most, _),) = Counter(kept.owner for kept in self._kept.values()).most_common(1)
-            del self._kept[next(name for name, kept in self._kept.items() if kept.owner == most)]
+        self._entries[token] = _Entry(past, owner, time.monotonic() + LIFE_S)
+        while len(self._entries) > MOST:
+            ((most, _),) = Counter(entry.owner for entry in self._entries.values()).most_common(1)
+            del self._entries[next(name for name, entry in self._entries.items() if entry.owner == most)]
 
     def get(self, token: str, owner: str | None) -> Continuation:
-        """The continuation of ``token``; refuses (``NotFound``) one that is gone, or another key's."""
+        """Returns the continuation under ``token``. Refuses (``NotFound``) one that is no longer kept, or another
+        key's."""
         self._drop_old()
-        kept = self._kept.get(token)
-        if kept is None or kept.owner != owner:
+        entry = self._entries.get(token)
+        if entry is None or entry.owner != owner:
             raise NotFound(
                 "past",
                 expected=f"one of the last {LIFE_S:g} s",
                 got="one that is not kept",
                 cure="Leave past out, and the clip begins anew.",
             )
-        return kept.past
+        return entry.past
 
     def _drop_old(self) -> None:
         now_s = time.monotonic()
-        for token in [token for token, kept in self._kept.items() if kept.until_s < now_s]:
-            del self._kept[token]
+        for token in [token for token, entry in self._entries.items() if entry.until_s < now_s]:
+            del self._entries[token]

@@ -1,4 +1,4 @@
-"""What clients take compressed, and answers of JSON so short that the event loop may compress them."""
+"""Reads the header Accept-Encoding, and compresses short answers of JSON on the event loop."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import gzip
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-LEAST, MOST = 1 << 10, 1 << 16  # bytes: what is less gains nothing, what is more would keep frames waiting
-LEVEL = 4  # of compression: of ``MOST`` in a millisecond
-JSON = "json"  # in the media types of documents and of problems
+LEAST, MOST = 1 << 10, 1 << 16  # bytes; shorter answers gain nothing, longer ones would delay frames
+LEVEL = 4  # of gzip, which compresses ``MOST`` bytes in a millisecond
+JSON = "json"  # a part of the media types of documents and of problems
 
 
-def accepts(asked: str, encoding: str) -> bool:
-    """Whether ``asked``, the header Accept-Encoding, takes ``encoding``."""
-    for part in asked.split(","):
+def accepts(header: str, encoding: str) -> bool:
+    """Returns whether ``header``, the value of Accept-Encoding, names ``encoding`` with a quality above 0."""
+    for part in header.split(","):
         name, _, quality = part.partition(";")
         if name.strip().lower() == encoding:
             return quality.replace(" ", "") not in ("q=0", "q=0.0", "q=0.00", "q=0.000")
@@ -22,8 +22,8 @@ def accepts(asked: str, encoding: str) -> bool:
 
 
 class BriefJson:
-    """Compresses an answer of JSON that comes in one piece of ``LEAST`` to ``MOST`` bytes, for who takes that. All
-    others pass as they are: those in pieces, streams, files."""
+    """A middleware that compresses (gzip) answers of JSON in one piece of ``LEAST`` to ``MOST`` bytes, for clients that
+    accept it. Other answers stay as they are."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
@@ -32,18 +32,18 @@ class BriefJson:
         if scope["type"] != "http" or not accepts(Headers(scope=scope).get("accept-encoding", ""), "gzip"):
             await self.app(scope, receive, send)
             return
-        held: list[Message] = []
+        starts: list[Message] = []
 
-        async def sent(message: Message) -> None:
+        async def send_compressed(message: Message) -> None:
             if message["type"] == "http.response.start" and _is_json(message):
-                held.append(message)  # until its body has come
+                starts.append(message)  # its headers depend on the body, which comes next
                 return
-            if held:
-                start = held.pop()
-                await send(start if message.get("more_body") else _packed(start, message))
+            if starts:
+                start = starts.pop()
+                await send(start if message.get("more_body") else _compress(start, message))
             await send(message)
 
-        await self.app(scope, receive, sent)
+        await self.app(scope, receive, send_compressed)
 
 
 def _is_json(start: Message) -> bool:
@@ -51,8 +51,9 @@ def _is_json(start: Message) -> bool:
     return JSON in headers.get("content-type", "") and "content-encoding" not in headers
 
 
-def _packed(start: Message, message: Message) -> Message:
-    """``start`` for the body of ``message``, which becomes a compressed one where that pays."""
+def _compress(start: Message, message: Message) -> Message:
+    """Compresses the body of ``message`` if it has the right size, and sets its headers in ``start``. Returns
+    ``start``."""
     if LEAST <= len(message.get("body", b"")) <= MOST:
         message["body"] = gzip.compress(message["body"], LEVEL, mtime=0)
         headers = MutableHeaders(raw=start["headers"])

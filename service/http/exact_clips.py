@@ -1,4 +1,4 @@
-"""Clips of tier exact: what may be asked of one, the message that asks for it on disk, and the finished clip."""
+"""Requests for clips of tier exact: which options they may have, how they are stored, and the finished clip."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from service.guard.key_file import Client
     from service.state import State
 
-# What a clip of tier exact has none of, and what it always has.
+# The options that a clip of tier exact cannot have, and those that always have these values.
 WITHOUT = (
     *("passes", "folds", "safe_folds", "settle", "inertia", "colliders", "hidden", "pixels_per_m"),
     *("streamed", "keep", "past", "rig", "joints"),
@@ -35,70 +35,71 @@ ALWAYS = {"push_out": True, "cloth_contact": True, "knob": 0.0, "geometry": "ver
 START = {"tier": "accurate", "knob": 0.0, "resolution": "fine"}  # the drape that a frame starts from
 
 
-def check_exact(asked: schemas.ClipOptions) -> None:
-    """Refuses (``InputError``) options that a clip of tier exact cannot have."""
+def check_exact(request: schemas.ClipOptions) -> None:
+    """Refuses (``InputError``) options of ``request`` that a clip of tier exact cannot have."""
     cure = "Leave it out, or ask for tier accurate."
-    if asked.garments is not None and len(asked.garments) > 1:
-        cure = "Ask for one garment, or for tier accurate."
-        raise InputError("garments", expected="one with tier exact", got=str(len(asked.garments)), cure=cure)
+    if request.garments is not None and len(request.garments) > 1:
+        cure, got = "Ask for one garment, or for tier accurate.", f"{len(request.garments)} garments"
+        raise InputError("garments", expected="one garment with tier exact", got=got, cure=cure)
     for name in WITHOUT:
-        if got := _value(asked, name):
-            raise InputError(name, expected="none with tier exact", got=f"{got!r:.40}", cure=cure)
-    for name, value in ALWAYS.items():
-        got, known = _value(asked, name), "motion" if name == "knob" else name
-        if got not in (None, value):
-            raise InputError(known, expected=f"{value} with tier exact", got=str(got), cure=cure)
+        if value := _value(request, name):
+            raise InputError(name, expected="none with tier exact", got=f"{value!r:.40}", cure=cure)
+    for name, fixed in ALWAYS.items():
+        value, label = _value(request, name), "motion" if name == "knob" else name
+        if value not in (None, fixed):
+            raise InputError(label, expected=f"{fixed} with tier exact", got=str(value), cure=cure)
 
 
-def _value(asked: schemas.ClipOptions, name: str) -> Any:
-    return getattr(asked.advanced if name in Advanced.model_fields else asked, name)
+def _value(request: schemas.ClipOptions, name: str) -> Any:
+    return getattr(request.advanced if name in Advanced.model_fields else request, name)
 
 
-async def submitted(asked: schemas.ClipOptions, clip: PoseInput, state: State, client: Client) -> ExactJob:
-    """Checks the ``clip`` that is ``asked`` for, stores the request, and returns its job."""
-    check_exact(asked)
-    scene = await state.worn(asked, client)
-    state.runtime.plan(scene, asked.model_copy(update=START))  # refused now rather than in the job
+async def submit_clip(request: schemas.ClipOptions, clip: PoseInput, state: State, client: Client) -> ExactJob:
+    """Checks ``request``, stores it with the motion of ``clip``, queues it and returns its job. Refuses as
+    ``check_exact``, ``Runtime.plan`` and ``ExactClips.check_place`` do."""
+    check_exact(request)
+    scene = await state.requested_scene(request, client)
+    state.runtime.plan(scene, request.model_copy(update=START))  # refuses options now rather than in the job
     (entry,) = scene.layers
     state.exact.check_place(len(clip.poses), entry.fine.vertex_count)
     left_out = {"poses", "trans", "rig_poses"}
-    about = asked.model_dump(mode="json", by_alias=True, exclude_none=True, exclude=left_out)
+    about = request.model_dump(mode="json", by_alias=True, exclude_none=True, exclude=left_out)
     message = await asyncio.to_thread(pack_clip, about, clip.poses, clip.trans)
     return await asyncio.shield(state.exact.submit(entry.id, client.name, message, len(clip.poses)))
 
 
 async def _read(message: bytes, state: State, client: Client) -> RequestedClip:
-    """What ``message`` asks for; refuses (``NotFound``) a garment or an avatar that is gone."""
+    """Returns the clip that the CLIP message of a stored request asks for. Refuses (``NotFound``) a garment or an
+    avatar that was deleted since."""
     text, poses, trans = unpack_clip(message)
-    asked = schemas.ClipOptions.model_validate_json(text)
-    scene = await state.worn(asked, client)
-    betas = shape_array(asked.betas, state.runtime.on(scene).body)
+    request = schemas.ClipOptions.model_validate_json(text)
+    scene = await state.requested_scene(request, client)
+    betas = shape_array(request.betas, state.runtime.on(scene).body)
     assert trans is not None
-    clip = PoseInput(poses, trans, betas, np.arange(len(poses)) / asked.fps)
-    update = START | {"resolution": asked.resolution}
-    return RequestedClip(state.runtime.plan(scene, asked.model_copy(update=update)), clip, asked, client)
+    clip = PoseInput(poses, trans, betas, np.arange(len(poses)) / request.fps)
+    update = START | {"resolution": request.resolution}
+    return RequestedClip(state.runtime.plan(scene, request.model_copy(update=update)), clip, request, client)
 
 
-def opener(state: State) -> Callable[[bytes, str | None], Awaitable[Work]]:
-    """Returns a function that takes a stored request and the key that sent it, and returns the ``Work`` that it asks
-    for."""
+def work_reader(state: State) -> Callable[[bytes, str | None], Awaitable[Work]]:
+    """Returns the function for ``ExactClips.start``: it takes the CLIP message of a stored request and the key that
+    sent it, and returns the ``Work`` that this asks for."""
 
-    async def opened(message: bytes, owner: str | None) -> Work:
+    async def read_work(message: bytes, owner: str | None) -> Work:
         job = await _read(message, state, state.access.client(owner))
-        scene, asked = job.plan.scene, job.asked.model_copy(update=START)
-        return Work(state.runtime.plan(scene, asked), job.clip)
+        return Work(state.runtime.plan(job.plan.scene, job.request.model_copy(update=START)), job.clip)
 
-    return opened
+    return read_work
 
 
-async def finished(job: ExactJob, state: State, client: Client) -> tuple[RequestedClip, Batch, dict[str, str]]:
-    """Returns the request of ``job``, its finished frames, and the headers of the answer. Refuses (``Unavailable``) a
-    clip that is not done."""
+async def finished_clip(job: ExactJob, state: State, client: Client) -> tuple[RequestedClip, Batch, dict[str, str]]:
+    """Returns the request of ``job``, a batch with its finished frames, and the headers of the answer. Refuses
+    (``Unavailable``) a clip that is not done."""
     if job.state != "done":
         cure = f"Ask GET /jobs/{job.accepted.id} until it is done."
         raise Unavailable("clip", expected="one that is done", got=job.state, cure=cure)
-    asked_for = await _read(await asyncio.to_thread(state.exact.message, job), state, client)
-    clip, plan = asked_for.clip, asked_for.plan
+    requested = await _read(await asyncio.to_thread(state.exact.message, job), state, client)
+    clip, plan = requested.clip, requested.plan
     vertices = await asyncio.to_thread(partial(state.exact.vertices, job, plan))
     root = clip.trans + state.runtime.on(plan.scene).body.rest_joints(clip.betas)[0]
     batch = replace(Batch.of(plan, [clip]), layers=(Layer(vertices),), root=root)
@@ -108,16 +109,16 @@ async def finished(job: ExactJob, state: State, client: Client) -> tuple[Request
         "X-Drape-Force-Left": f"{max(frame['force_share'] for frame in job.figures.values()):.5f}",
         "X-Drape-Crossings": str(max(frame["crossings"] for frame in job.figures.values())),
     }
-    return asked_for, batch, headers
+    return requested, batch, headers
 
 
 def exact_job_info(job: ExactJob) -> JobInfo:
-    """The answer about ``job``."""
+    """Returns the answer to GET /jobs/ID about ``job``."""
     accepted = job.accepted
-    told = [FrameTold(frame=number, **figures) for number, figures in sorted(job.figures.items())]
+    frames = [FrameTold(frame=number, **figures) for number, figures in sorted(job.figures.items())]
     about = {"stage": job.stage, "share": round(job.share, 4), "problem": job.problem, "frames": accepted.frames}
-    notes = [] if job.state != "done" else [_unsolved(frame) for frame in told if _is_unsolved(frame)]
-    return JobInfo(id=accepted.id, name=accepted.name, state=job.state, told=told, notes=notes, **about)
+    notes = [] if job.state != "done" else [_unsolved(frame) for frame in frames if _is_unsolved(frame)]
+    return JobInfo(id=accepted.id, name=accepted.name, state=job.state, told=frames, notes=notes, **about)
 
 
 def _is_unsolved(frame: FrameTold) -> bool:
@@ -125,8 +126,9 @@ def _is_unsolved(frame: FrameTold) -> bool:
 
 
 def _unsolved(frame: FrameTold) -> str:
-    """The sentence about a frame that is not at rest, or passes through itself."""
+    """Returns the sentence about a frame that is not at rest, or whose cloth passes through itself."""
     return (
         f"Frame {frame.frame} is not solved: {frame.crossings} pairs of triangles cross, the cloth lies"
-        f" {1e3 * frame.depth_m:.1f} mm deep in the skin, and {100 * frame.force_share:.1f} % of its weight are left."
+        f" {1e3 * frame.depth_m:.1f} mm deep in the skin, and {100 * frame.force_share:.1f} % of its weight is left as"
+        " force."
     )

@@ -1,4 +1,4 @@
-"""REST: bodies by their measures, and how garments fit them."""
+"""Routes for measures of bodies, and for how garments fit."""
 
 from __future__ import annotations
 
@@ -29,14 +29,16 @@ if TYPE_CHECKING:
     from drape.stages.scene import Entry
 
 router = APIRouter()
-# The network's smooth drape of every pose by itself: folds would take up the strain that is looked for, and the
-# push-out adds some of its own.
+# A fit is read from the network's smooth drape of each pose by itself. Folds would take up the strain that is to be
+# measured, and the push-out would add to it.
 SMOOTH: dict[str, Any] = {"motion": 0.0, "resolution": "fine", "advanced": Advanced(folds=0, push_out=False)}
 
 
 @router.get("/bodies/{body_id}/measures", responses=responses(InputError, NotFound, BodyError))
 async def body_measures(body_id: str, state: StateHere, betas: Betas = None) -> MeasuresDocument:
-    """Returns the measures of a body in the shape ``betas``, the heights of the girths, and each measure's range."""
+    """Returns the measures of the body in the shape ``betas``, the heights at which its girths are measured, and the
+    range that each measure can have on this body.
+    """
     runtime = state.runtime
     runtime.check_body_id(body_id)
     shape = queried_shape(betas, runtime.body)
@@ -44,11 +46,11 @@ async def body_measures(body_id: str, state: StateHere, betas: Betas = None) -> 
 
 
 def _measured(body: BodyModel, shape: np.ndarray) -> dict[str, Any]:
-    """The fields of a ``MeasuresDocument``."""
+    """Returns the fields of a ``MeasuresDocument``."""
     levels = landmarks(body).levels(body.rest_vertices(shape))
     ranges = {name: {"least": least, "most": most} for name, (least, most) in measure_ranges(body).items()}
-    found = {"betas": shape.tolist(), "measures": measures(body, shape)._asdict()}
-    return found | {"levels": levels._asdict(), "ranges": ranges}
+    numbers = {"betas": shape.tolist(), "measures": measures(body, shape)._asdict()}
+    return numbers | {"levels": levels._asdict(), "ranges": ranges}
 
 
 @router.post(
@@ -57,15 +59,15 @@ def _measured(body: BodyModel, shape: np.ndarray) -> dict[str, Any]:
     responses=responses(InputError, NotFound, BodyError, TooSlow, TooLarge),
 )
 async def body_shape(body_id: str, request: Request, state: StateHere, client: ClientHere) -> ShapeDocument:
-    """Finds the likeliest shape of a body with the given measures."""
+    """Returns the likeliest shape of the body with the given measures."""
     runtime = state.runtime
     runtime.check_body_id(body_id)
     state.check_slot()
-    asked = validate_document(ShapeRequest, read_document(await json_text(request))).model_dump(exclude_none=True)
+    given = validate_document(ShapeRequest, read_document(await json_text(request))).model_dump(exclude_none=True)
     with state.access.using(client, "clips"), state.slot():
-        found = await runtime.call_apart(shape_of_measures, runtime.body, asked)
-    reached = Measures._asdict(found.reached)
-    return ShapeDocument.model_validate({"betas": found.betas.tolist(), "measures": reached, "missed": found.missed})
+        shape = await runtime.call_apart(shape_of_measures, runtime.body, given)
+    reached = Measures._asdict(shape.reached)
+    return ShapeDocument.model_validate({"betas": shape.betas.tolist(), "measures": reached, "missed": shape.missed})
 
 
 @router.post(
@@ -77,19 +79,19 @@ async def body_shape(body_id: str, request: Request, state: StateHere, client: C
     ),
 )
 async def garment_fit(garment_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
-    """Says how a garment fits: in words, as ease at chest, waist and hip, and as strain and pressure by region.
+    """Returns how a garment fits: in words, as ease at chest, waist and hip, and as strain and pressure by region.
 
-    The fit is read from the network's smooth drape, without folds. Ease is that of the rest pose. Strain and pressure
-    are those of ``pose``. With the right Accept header the answer is binary, float32 (vertices, 3): strain along the
-    warp, strain along the weft, pressure [N/m2].
+    The fit is measured on the network's smooth drape, without folds. Ease is that of the rest pose. Strain and pressure
+    are those of ``pose``. With ``Accept: application/octet-stream`` the answer is binary, float32 (vertices, 3): strain
+    along the warp, strain along the weft, pressure [N/m2].
     """
     runtime = state.runtime
     state.check_slot()
-    asked = validate_document(FitRequest, read_document(await json_text(request)))
+    fit = validate_document(FitRequest, read_document(await json_text(request)))
     kind = choose(request.headers.get("accept"), (JSON, BINARY))
-    (entry,) = (await state.scene(garment_id, None, client, size=asked.size)).layers
-    plan = runtime.plan(entry, DrapeOptions(**SMOOTH, fabric=asked.fabric))
-    clip = _clip(asked, runtime.body)
+    (entry,) = (await state.scene(garment_id, None, client, size=fit.size)).layers
+    plan = runtime.plan(entry, DrapeOptions(**SMOOTH, fabric=fit.fabric))
+    clip = _clip(fit, runtime.body)
     with state.access.using(client, "clips"), state.slot():
         draped = await runtime.drape(plan, clip)
         garment, fabric = plan.scene.layers[0].garment, plan.fabrics[0]
@@ -97,37 +99,38 @@ async def garment_fit(garment_id: str, request: Request, state: StateHere, clien
     if kind == BINARY:
         rows = np.stack(_of_delivered(report, entry), axis=1)
         return binary_answer(rows, state.sliced_thread, {"X-Drape-Vertices": str(len(rows))})
-    return json_answer(_document(report, entry, vertices=asked.vertices), state.sliced_thread)
+    return json_answer(_document(report, entry, vertices=fit.vertices), state.sliced_thread)
 
 
 @router.get("/garments/{garment_id}/size", responses=responses(InputError, NotFound, BodyError))
 async def garment_size(garment_id: str, state: StateHere, client: ClientHere, betas: Betas = None) -> SizeAdvice:
-    """Says which size of a garment fits the body in the shape ``betas``, and why."""
+    """Returns the size of a garment that fits the body in the shape ``betas``, and why."""
     runtime = state.runtime
     entry = await state.garment(garment_id, client)
     shape = queried_shape(betas, runtime.body)
-    found = await asyncio.to_thread(runtime.sizes.advice, entry, shape)
-    return SizeAdvice(size=found.size, words=found.words)
+    advice = await asyncio.to_thread(runtime.sizes.advice, entry, shape)
+    return SizeAdvice(size=advice.size, words=advice.words)
 
 
-def _clip(asked: FitRequest, body: BodyModel) -> PoseInput:
-    """The rest pose, and after it the pose that is ``asked`` about, if any."""
-    poses = np.zeros((1 if asked.pose is None else 2, JOINT_COUNT, 3))
-    if asked.pose is not None:
-        poses[1] = asked.pose
+def _clip(fit: FitRequest, body: BodyModel) -> PoseInput:
+    """Returns a clip of the rest pose, and after it the pose of the request if it has one."""
+    poses = np.zeros((1 if fit.pose is None else 2, JOINT_COUNT, 3))
+    if fit.pose is not None:
+        poses[1] = fit.pose
     poses, trans = motion_arrays(poses, None, max_frames=len(poses))
-    return PoseInput(poses, trans, shape_array(asked.betas, body), np.arange(float(len(poses))))
+    return PoseInput(poses, trans, shape_array(fit.betas, body), np.arange(float(len(poses))))
 
 
 def _worn(clip: PoseInput, draped: Batch) -> JudgedDrape:
-    """The frames of ``draped`` in the world, float64."""
+    """Returns the drapes of the frames of ``clip``, in the world, float64."""
     vertices = draped.vertices.astype(np.float64) + draped.root[:, None]
     posed = (clip.poses[1], vertices[1]) if len(vertices) > 1 else (None, None)
     return JudgedDrape(clip.betas, vertices[0], *posed)
 
 
 def _of_delivered(report: FitReport, entry: Entry) -> list[np.ndarray]:
-    """Strain along warp and weft and pressure of the vertices that are drawn, float32."""
+    """Returns strain along warp, strain along weft and pressure [N/m2] at each vertex that is drawn, (V,) float32
+    each."""
     count, drawn = entry.garment.vertex_count, entry.garment.drawn
     if drawn is None:
         return [values[:count].astype(np.float32) for values in report.tension]
@@ -135,7 +138,7 @@ def _of_delivered(report: FitReport, entry: Entry) -> list[np.ndarray]:
 
 
 def _document(report: FitReport, entry: Entry, *, vertices: bool) -> dict[str, Any]:
-    """The fields of a ``FitDocument``."""
+    """Returns the fields of a ``FitDocument``; with ``vertices`` also those of each vertex."""
     ease = {name: {**girths._asdict(), "ease_m": girths.ease_m} for name, girths in report.ease.items()}
     regions = {name: region._asdict() for name, region in report.regions.items()}
     document: dict[str, Any] = {"garment": entry.id, "words": report.words, "ease": ease, "regions": regions}

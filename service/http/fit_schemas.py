@@ -1,4 +1,4 @@
-"""The JSON of measures of bodies, and of how garments fit."""
+"""Requests and answers about measures of bodies, and about how garments fit."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class MeasureNumbers(BaseModel):
 
 
 class ShapeRequest(Request):
-    """One or more measures that a body shall have. A measure that is left out gets its likeliest value."""
+    """One or more measures that a body should have. A measure that is left out gets its likeliest value."""
 
     height_m: Given = Field(default=None, description=HEIGHT)
     chest_m: Given = Field(default=None, description=CHEST)
@@ -47,7 +47,7 @@ class ShapeRequest(Request):
 
 
 class LevelNumbers(BaseModel):
-    """The heights [m] that girths are measured at, in the coordinates of the body at rest."""
+    """The heights [m] at which girths are measured: y coordinates of the body at rest."""
 
     chest_m: float
     waist_m: float
@@ -55,34 +55,34 @@ class LevelNumbers(BaseModel):
 
 
 class Range(BaseModel):
-    """The least and the greatest value of a measure that this body can have."""
+    """The least and the greatest value that a measure can have on this body, in the unit of the measure."""
 
     least: float
     most: float
 
 
 class MeasuresDocument(BaseModel):
-    """A shape, its measures, and the range of each measure of this body."""
+    """A shape, its measures, and the range of each measure on this body."""
 
-    betas: list[float]
+    betas: list[float] = Field(description="The shape coefficients.")
     measures: MeasureNumbers
     levels: LevelNumbers
-    ranges: dict[str, Range]
+    ranges: dict[str, Range] = Field(description="The range of each measure, by the measure's name.")
 
 
 class ShapeDocument(BaseModel):
-    """The likeliest shape with the given measures."""
+    """The likeliest shape with the given measures, and all measures of it."""
 
-    betas: list[float]
+    betas: list[float] = Field(description="The shape coefficients.")
     measures: MeasureNumbers
     missed: dict[str, float] = Field(
-        description="The given measures that the shape misses by more than 5 mm or 0.5 kg, and how much larger the "
-        "shape's own are."
+        description="The given measures that the shape misses by more than 5 mm or 0.5 kg, and by how much it is "
+        "larger there."
     )
 
 
 class FitRequest(Request):
-    """The shape, the pose, the fabric and the size that a fit is asked for."""
+    """The shape of the body, its pose, the fabric and the size for which a fit is asked."""
 
     betas: Betas | None = Field(default=None, description="The shape coefficients of the body. Left out: zeros.")
     pose: PoseRows | None = Field(
@@ -100,7 +100,7 @@ class FitRequest(Request):
 
 
 class EaseNumbers(BaseModel):
-    """The girths [m] of the body and of the garment without stress at the level of a measure, and how much larger the
+    """The girths [m] of the body and of the garment without stress at one height, and the ease: how much larger the
     garment's is.
     """
 
@@ -110,26 +110,28 @@ class EaseNumbers(BaseModel):
 
 
 class RegionNumbers(BaseModel):
-    """The cloth on a region of the body. Strains are engineering strains."""
+    """The cloth on a region of the body. Strains are engineering strains: 0.01 is one per cent longer than at rest."""
 
-    area_m2: float
+    area_m2: float = Field(description="The area of the cloth on the region [m2].")
     warp: float = Field(description="The mean strain along the warp.")
     weft: float = Field(description="The mean strain along the weft.")
     high: float = Field(description="The strain along warp or weft that a twentieth of the cloth exceeds.")
-    touching: float = Field(description="The share of the cloth that lies on the skin.")
+    touching: float = Field(description="The share of the cloth that lies on the skin, 0 to 1.")
     pressure_n_per_m2: float = Field(description="The mean pressure [N/m2] of the cloth that lies on the skin.")
     gap_m: float = Field(description="The mean distance of the cloth from the skin [m].")
 
 
 class FitDocument(BaseModel):
-    """How a garment fits a body: in words, by the levels and regions that it covers, and by vertex if the request says
-    so.
+    """How a garment fits a body: in words, by the heights and regions that it covers, and by vertex if the request asks
+    for that.
     """
 
-    garment: str
-    words: list[str]
-    ease: dict[str, EaseNumbers]
-    regions: dict[str, RegionNumbers]
+    garment: str = Field(description="The id of the garment.")
+    words: list[str] = Field(description="Sentences on the fit.")
+    ease: dict[str, EaseNumbers] = Field(
+        description="The ease at each height that the garment goes around, by its name."
+    )
+    regions: dict[str, RegionNumbers] = Field(description="The cloth on each region of the body, by the region's name.")
     warp: list[float] | None = Field(default=None, description="The strain along the warp at each delivered vertex.")
     weft: list[float] | None = Field(default=None, description="The strain along the weft at each delivered vertex.")
     pressure: list[float] | None = Field(

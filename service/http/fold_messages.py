@@ -1,4 +1,4 @@
-"""FOLDS messages, which take a second to make."""
+"""Makes FOLDS messages, each of which takes a second, and the keys under which they are kept."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ from drape.wire.options import FabricChoice, FabricNumbers
 from service.http.json_body import read_document, validate_document
 from service.http.kept import packed_text
 
-KEPT = 8  # messages of some 3 MB, compressed to half of their size
-Folded = tuple[Garment, BodyModel, Fabric | None, np.ndarray, bool, Drawer | None]
+KEPT = 8  # the most messages in memory, of some 1.5 MB compressed
 
 
 def queried_fabric(text: str | None) -> FabricChoice | None:
-    """Returns the fabric in a query: a name, or numbers if ``text`` is a JSON object; None if there is none. Refuses
-    other JSON."""
+    """Returns the fabric in a query: its numbers if ``text`` is a JSON object, else ``text`` as its name; None for no
+    text. Refuses (``InputError``) an object with other fields."""
     if not text:
         return None
     return validate_document(FabricNumbers, read_document(text.encode())) if text.startswith("{") else text
@@ -32,22 +31,21 @@ def queried_fabric(text: str | None) -> FabricChoice | None:
 def pack_message(
     worn: Garment, body: BodyModel, fabric: Fabric | None, shape: np.ndarray, coarse: bool, hung: Drawer | None
 ) -> bytes:
-    """Returns the compressed FOLDS message of the garment ``worn`` on ``body`` in ``shape``, made of ``fabric`` or else
-    its own.
+    """Returns the bytes of the FOLDS message of the garment ``worn`` on ``body`` in ``shape`` (S,), compressed by
+    ``packed_text``.
 
-    ``coarse``: whether a coarse cloth takes the steps. ``hung``: whether the message also has the mesh that hangs on
-    the cloth.
+    ``fabric``: None for the garment's own. ``coarse``: whether a coarse cloth takes the steps of folds. ``hung``: the
+    drawn mesh that hangs on the cloth, if the message shall hold it too.
     """
-    told = flat_records(fold_records(worn, body, fabric, shape, coarse=coarse))
-    return packed_text(pack_folds(*(told if hung is None else with_hung(*told, hung.arrays()))))
+    records = flat_records(fold_records(worn, body, fabric, shape, coarse=coarse))
+    return packed_text(pack_folds(*(records if hung is None else with_hung(*records, hung.arrays()))))
 
 
 def message_key(
     worn: Garment, body: BodyModel, fabric: Fabric | None, shape: np.ndarray, coarse: bool, hung: Drawer | None
 ) -> bytes:
-    """Returns all that a message of ``pack_message`` depends on, as bytes: equal bytes, equal messages."""
-    named = "" if fabric is None else fabric.digest
-    said = "|".join(
-        (str(WIRE_VERSION), f"{HASH:x}", worn.digest, body.digest, named, str(coarse), "hung" * (hung is not None))
-    )
-    return said.encode() + shape.tobytes()
+    """Returns bytes that are equal for two calls of ``pack_message`` with these arguments only if their messages
+    are."""
+    cloth = "" if fabric is None else fabric.digest
+    names = (str(WIRE_VERSION), f"{HASH:x}", worn.digest, body.digest, cloth, str(coarse), "hung" * (hung is not None))
+    return "|".join(names).encode() + shape.tobytes()

@@ -1,4 +1,4 @@
-"""REST: the garments of a service, their meshes and pictures, and what their owners change of them."""
+"""Routes for garments: their facts, meshes, pictures and constants of folds, and changes by their owners."""
 
 from __future__ import annotations
 
@@ -35,13 +35,14 @@ if TYPE_CHECKING:
 
 router = APIRouter()
 LEAST, MOST, USUAL = 64, 1024, 512  # pixels along each side
-PREVIEWS_KEPT = 64  # pictures, of up to a quarter of a megabyte
+PREVIEWS_KEPT = 64  # the most pictures in memory, of up to a quarter of a megabyte
 SIZE = "The size of the garment. Left out: M, or the only size that the garment has."
 AskedSize = Annotated[SizeName | None, Query(description=SIZE)]
 
 
-class FoldsAsked(BaseModel):
-    """The fabric, shape, mesh, avatar and size that the constants of a garment's folds are made for."""
+class FoldsQuery(BaseModel):
+    """The fabric, shape, mesh, avatar and size for which the constants of a garment's folds are computed, as query
+    parameters."""
 
     fabric: str | None = Field(
         default=None,
@@ -64,7 +65,8 @@ class FoldsAsked(BaseModel):
     )
     drawn: bool = Field(
         default=False,
-        description="Whether what is drawn comes too, of a garment that says `hung`. It takes resolution fine.",
+        description="Whether the message also holds the drawn mesh of a garment that is `hung`. It needs resolution "
+        "fine.",
     )
 
 
@@ -77,13 +79,13 @@ class GarmentChange(schemas.Request):
 
 @router.get("/garments")
 async def garments(state: StateHere, client: ClientHere) -> list[schemas.GarmentInfo]:
-    """Lists the garments that can be draped."""
+    """Lists the garments that the client may drape."""
     return [schemas.GarmentInfo.of(entry, state.runtime.sizes) for entry in state.runtime.garments.visible(client.name)]
 
 
 @router.get("/garments/{garment_id}", responses=responses(NotFound))
 async def garment(garment_id: str, state: StateHere, client: ClientHere) -> schemas.GarmentInfo:
-    """Returns one garment."""
+    """Returns the facts of one garment."""
     return schemas.GarmentInfo.of(await state.garment(garment_id, client), state.runtime.sizes)
 
 
@@ -100,9 +102,8 @@ async def garment_mesh(
     resolution: Resolution = "delivered",
     size: AskedSize = None,
 ) -> Response:
-    """Returns the garment's mesh at rest on the standard body as JSON: the delivered mesh, or with ``resolution`` fine
-    the finer one. With the right Accept header it returns a GLB, or a MESH message (docs/reference/wire.md) that holds
-    the triangles alone.
+    """Returns the garment's mesh at rest on the standard body [m]: the delivered mesh, or with ``resolution`` fine the
+    finer one. The Accept header chooses JSON, a GLB, or a MESH message (docs/reference/wire.md) without materials.
     """
     (entry,) = (await state.scene(garment_id, None, client, size=size)).layers
     entry = entry.fine if resolution == "fine" else entry
@@ -114,7 +115,7 @@ async def garment_mesh(
     if kind == BINARY:
         make = partial(state.runtime.threads.apart, _mesh_message, garment)
         mesh_of = f"mesh {WIRE_VERSION} {garment.digest} {surface is garment}".encode()
-        return await state.meshes.answer(mesh_of, make, asked=request.headers, kind=kind, cache=ASKED_AGAIN)
+        return await state.meshes.answer(mesh_of, make, request_headers=request.headers, kind=kind, cache=ASKED_AGAIN)
     document = {
         "id": entry.id,
         "vertices": garment.drawn_at_rest(),
@@ -131,7 +132,9 @@ async def garment_mesh(
 async def garment_looks(
     garment_id: str, state: StateHere, client: ClientHere, resolution: Resolution = "delivered"
 ) -> LooksDocument:
-    """Returns how the garment's materials look: colours, and the numbers of their textures."""
+    """Returns how the garment's materials look: their colours, the numbers of their textures, and which faces have
+    which material.
+    """
     entry = await state.garment(garment_id, client)
     return LooksDocument.of((entry.fine if resolution == "fine" else entry).garment.surface)
 
@@ -144,10 +147,12 @@ async def garment_looks(
 async def garment_texture(
     garment_id: str, number: Annotated[int, Path(ge=0, le=10_000)], state: StateHere, client: ClientHere
 ) -> Response:
-    """Returns a picture of the garment's materials, PNG or JPEG."""
+    """Returns one of the texture pictures of the garment's materials, PNG or JPEG. ``number`` is that in the garment's
+    looks.
+    """
     pictures = (await state.garment(garment_id, client)).garment.surface.looks.pictures
     if number >= len(pictures):
-        cure = "GET /garments/{id}/looks tells their numbers."
+        cure = "GET /garments/{id}/looks has their numbers."
         raise NotFound("texture", expected=f"a number below {len(pictures)}", got=f"{number}", cure=cure)
     picture = pictures[number]
     return Response(picture, media_type=media_type(picture), headers={"X-Content-Type-Options": "nosniff"})
@@ -178,7 +183,7 @@ async def garment_jets(
     ] = None,
     size: AskedSize = None,
 ) -> Response:
-    """Returns a LAYOUT message (docs/reference/wire.md). A client needs it to compute the garment's vertices from its
+    """Returns a LAYOUT message (docs/reference/wire.md), from which a client computes the garment's vertices out of its
     jets.
     """
     (entry,) = (await state.scene(garment_id, None, client, avatar=avatar, size=size)).layers
@@ -194,9 +199,11 @@ async def garment_jets(
     responses=responses(InputError, NotFound, NotAcceptable, BodyError, kinds=(BINARY,)) | KNOWN,
 )
 async def garment_folds(
-    garment_id: str, request: Request, state: StateHere, client: ClientHere, asked: Annotated[FoldsAsked, Query()]
+    garment_id: str, request: Request, state: StateHere, client: ClientHere, asked: Annotated[FoldsQuery, Query()]
 ) -> Response:
-    """Returns a FOLDS message (docs/reference/wire.md). A client needs it to compute swing and folds by itself."""
+    """Returns a FOLDS message (docs/reference/wire.md) with the constants from which a client computes swing and folds
+    by itself.
+    """
     kind = choose(request.headers.get("accept"), (BINARY,))
     runtime = state.runtime
     scene = await state.scene(garment_id, None, client, avatar=asked.avatar, size=asked.size)
@@ -206,7 +213,7 @@ async def garment_folds(
     hung = own.garment.drawer if asked.drawn and own.garment.drawn is not None and worn.drawn is None else None
     folded = worn, body, plan.fabrics[0], queried_shape(asked.betas, body), asked.coarse, hung
     make = partial(runtime.call_apart, pack_message, *folded)
-    return await state.fold_messages.answer(message_key(*folded), make, asked=request.headers, kind=kind)
+    return await state.fold_messages.answer(message_key(*folded), make, request_headers=request.headers, kind=kind)
 
 
 @router.get(
@@ -224,17 +231,18 @@ async def garment_preview(
     ] = USUAL,
     alone: Annotated[bool, Query(description="Whether the picture leaves the body out.")] = False,
 ) -> Response:
-    """Returns a picture of the garment in its own colours at rest on the standard body, from the front and a little
-    from the side."""
+    """Returns a picture of the garment in its own colours at rest on the standard body, seen from the front and a
+    little from the side.
+    """
     garment, body = (await state.garment(garment_id, client)).garment, state.runtime.body
 
-    def drawn() -> bytes:
+    def draw() -> bytes:
         skin = None if alone else (body.rest_vertices(np.zeros(body.shape_count)), body.faces.astype(np.int64))
         return state.runtime.constants_process.call(portrait, sitter_at_rest(garment), skin, size)
 
-    make = partial(state.runtime.threads.apart, drawn)
-    drawn_of = f"{garment.digest}-{alone}-{size}".encode()
-    return await state.previews.answer(drawn_of, make, asked=request.headers, kind=PNG, packed=False)
+    make = partial(state.runtime.threads.apart, draw)
+    made_of = f"{garment.digest}-{alone}-{size}".encode()
+    return await state.previews.answer(made_of, make, request_headers=request.headers, kind=PNG, packed=False)
 
 
 @router.patch(
@@ -247,27 +255,28 @@ async def change_garment(
 ) -> schemas.GarmentInfo:
     """Renames an uploaded garment, or publishes it to all keys. Its id stays the same."""
     entry = await _own(garment_id, client, state)
-    asked = validate_document(GarmentChange, read_document(await json_text(request)))
-    if asked.name is None and asked.published is None:
+    change = validate_document(GarmentChange, read_document(await json_text(request)))
+    if change.name is None and change.published is None:
         raise InputError("garment", expected="name or published", got="neither", cure='Send {"published": true}.')
-    changed = state.runtime.garments.change(entry, name=asked.name, published=asked.published)
+    changed = state.runtime.garments.change(entry, name=change.name, published=change.published)
     return schemas.GarmentInfo.of(changed, state.runtime.sizes)
 
 
 @router.delete("/garments/{garment_id}", status_code=204, responses=responses(NotFound))
 async def delete_garment(garment_id: str, state: StateHere, client: ClientHere) -> None:
-    """Removes an uploaded garment from the service and its disk. Streams that wear it are closed with code 4404."""
+    """Removes an uploaded garment and its files from the service. Streams that wear it are closed with code 4404."""
     entry = await _own(garment_id, client, state)
-    state.runtime.garments.withdraw(entry)  # who is told that it is gone finds it gone
+    state.runtime.garments.withdraw(entry)  # before streams end, whose clients may ask for it again
     state.streams.end_wearing(entry)
     await asyncio.shield(state.runtime.threads.aside(state.runtime.garments.remove, entry))
 
 
 async def _own(garment_id: str, client: Client, state: State) -> Entry:
-    """The garment, if it is the client's; refuses unknown and foreign ones."""
+    """Returns the entry of the garment. Refuses (``NotFound``) an unknown one, and (``Forbidden``) a shipped one and
+    one that another key has uploaded."""
     entry = await state.garment(garment_id, client)
     if entry.source == "shipped" or entry.owner != client.name:
-        whose = "a shipped one" if entry.source == "shipped" else "one of somebody else"
-        cure = "Only who uploaded a garment may change it."
+        whose = "a shipped one" if entry.source == "shipped" else "one of another key"
+        cure = "Only the key that uploaded a garment may change it."
         raise Forbidden("garment", expected="one of your own", got=whose, cure=cure)
     return entry

@@ -1,4 +1,4 @@
-"""REST: what this service is, the fabrics, tiers, bodies and sample clips that requests may name, and tickets."""
+"""Routes for the state of the service, for fabrics, tiers, bodies and sample clips, and for tickets."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
@@ -38,7 +38,7 @@ router = APIRouter()
 
 @router.get("/health")
 async def health(request: Request, state: StateHere) -> schemas.Health:
-    """Says that the service works, and with which model, provider and limits."""
+    """Returns the state of the service: its model, provider, card and limits. An answer means that it works."""
     runtime = state.runtime
     return schemas.Health(
         status="ok",
@@ -64,12 +64,12 @@ async def health(request: Request, state: StateHere) -> schemas.Health:
 
 
 def card_health(lane: Lanes | None) -> schemas.CardHealth | None:
-    """How the card of a ``lane`` does; None without one."""
+    """Returns the state of the cards of ``lane`` together; None without any."""
     if lane is None:
         return None
-    told = lane.report()
-    numbers = {name: getattr(told, name) for name in schemas.CardHealth.model_fields if name != "name"}
-    return schemas.CardHealth(name=told.card, **numbers)
+    report = lane.report()
+    numbers = {name: getattr(report, name) for name in schemas.CardHealth.model_fields if name != "name"}
+    return schemas.CardHealth(name=report.card, **numbers)
 
 
 @router.get("/fabrics")
@@ -84,8 +84,8 @@ def _public(cloth: Fabric) -> dict[str, Any]:
 
 @router.get("/tiers")
 async def tiers(state: StateHere) -> list[schemas.TierInfo]:
-    """Lists the tiers that a request may name, the cheapest first. Each has the figures that were measured of it and
-    the machine that they were measured on.
+    """Lists the tiers that a request may name, the one that computes least first, with figures that were measured of
+    each.
     """
     runtime = state.runtime
     default = runtime.settings.tier
@@ -106,7 +106,7 @@ def _body_info(body: BodyModel) -> schemas.BodyInfo:
 
 @router.get("/bodies/{body_id}", responses=responses(InputError, NotFound, BodyError))
 async def body(body_id: str, state: StateHere, betas: Betas = None) -> schemas.BodyDocument:
-    """Returns one body in the shape ``betas``: its joints at rest and the height of its soles."""
+    """Returns the body in the shape ``betas``: its joints at rest and the height of its soles."""
     runtime = state.runtime
     runtime.check_body_id(body_id)
     shape = queried_shape(betas, runtime.body)
@@ -123,8 +123,8 @@ async def body(body_id: str, state: StateHere, betas: Betas = None) -> schemas.B
     responses=responses(InputError, NotFound, NotAcceptable, BodyError, kinds=(GLB, BINARY)) | KNOWN,
 )
 async def body_mesh(body_id: str, request: Request, state: StateHere, betas: Betas = None) -> Response:
-    """Returns the body at rest as JSON. With the right Accept header it returns a GLB or a BODY message
-    (docs/reference/wire.md) instead; both have the 24 joints as a skeleton.
+    """Returns the mesh of the body at rest in the shape ``betas`` [m]. The Accept header chooses JSON, a GLB or a BODY
+    message (docs/reference/wire.md); the latter two have the 24 joints as a skeleton.
     """
     runtime = state.runtime
     runtime.check_body_id(body_id)
@@ -133,7 +133,7 @@ async def body_mesh(body_id: str, request: Request, state: StateHere, betas: Bet
     if kind == BINARY:
         make = partial(runtime.threads.apart, _body_message, runtime.body, shape)
         body_of = f"body {WIRE_VERSION} {runtime.body.digest}".encode() + shape.tobytes()
-        return await state.meshes.answer(body_of, make, asked=request.headers, kind=kind, cache=ASKED_AGAIN)
+        return await state.meshes.answer(body_of, make, request_headers=request.headers, kind=kind, cache=ASKED_AGAIN)
     if kind == GLB:
         file = GlbFile()
         add_body(file, runtime.body, shape)
@@ -186,41 +186,43 @@ async def motion(
         body = (await state.wearer(avatar, client)).body
     clip, shape = runtime.motions.get(motion_id), queried_shape(betas, body)
 
-    def written() -> bytes:
+    def write() -> bytes:
         placed = runtime.motions.placed(motion_id, body, shape)
         document = {"id": motion_id, "name": clip.name, "frames": clip.frame_count, "fps": clip.fps}
         document |= {"poses": np.round(placed.poses, 6), "trans": np.round(placed.trans, 6)}
         return packed_text(b"".join(json_pieces(document)))
 
     motion_of = f"motion {motion_id} {body.digest}".encode() + shape.tobytes() + clip.poses.tobytes()
-    make = partial(runtime.threads.apart, written)
-    return await state.meshes.answer(motion_of, make, asked=request.headers, kind=JSON, cache=ASKED_AGAIN)
+    make = partial(runtime.threads.apart, write)
+    return await state.meshes.answer(motion_of, make, request_headers=request.headers, kind=JSON, cache=ASKED_AGAIN)
 
 
 class Ticket(BaseModel):
-    """A ticket, and for how many seconds it is valid."""
+    """A ticket that stands for an API key."""
 
     ticket: str
-    expires_s: float
+    expires_s: float = Field(description="For how many seconds the ticket is valid.")
 
 
 @router.post("/tickets", responses=responses(InputError))
 async def make_ticket(request: Request, state: StateHere, client: ClientHere) -> Ticket:
-    """Makes a ticket that stands for the key of this request. A page that must not hold the key uses the ticket."""
+    """Makes a ticket that stands for the key of this request for a minute, for pages that must not hold the key."""
     if client.name is None:
-        raise InputError("ticket", expected="a service with keys", got="one without", cure="Ask without a ticket.")
+        cure = "Send requests without a ticket: this service asks for no key."
+        raise InputError("ticket", expected="a service with keys", got="one without", cure=cure)
     if "." in request.headers.get("authorization", ""):
-        raise Unauthorized("key", expected="an API key", got="a ticket", cure="Make tickets where the key is.")
+        raise Unauthorized("key", expected="an API key", got="a ticket", cure="Send the key to make a ticket.")
     return Ticket(ticket=state.access.tickets.make(client.name), expires_s=LIFE_S)
 
 
 def probe_routes(lifecycle: Lifecycle, metrics: Metrics) -> APIRouter:
-    """Returns the routes ``/livez``, ``/readyz`` and ``/metrics``, of which the last is for clients alone."""
+    """Returns the routes ``/livez`` and ``/readyz``, which need no key, and ``/metrics``, which needs one if there are
+    keys."""
     probes = APIRouter()
 
     async def probe(request: Request) -> Response:
         if request.url.path == "/metrics":
-            rendered = request.app.state.drape.sliced_thread.each(metrics.pieces())
+            rendered = request.app.state.drape.sliced_thread.run_pieces(metrics.pieces())
             return Response(b"".join([piece async for piece in rendered]), media_type=MEDIA_TYPE)
         status, kind, content = probe_answer(request.url.path, lifecycle, metrics)
         return Response(content, status, media_type=kind)
@@ -228,7 +230,7 @@ def probe_routes(lifecycle: Lifecycle, metrics: Metrics) -> APIRouter:
     described = {
         "/livez": "Answers 200 while the process lives, and 503 when it should be replaced.",
         "/readyz": "Answers 200 while the service takes work, and 503 while it loads or drains.",
-        "/metrics": "Returns all series in the text format of Prometheus.",
+        "/metrics": "Returns the metrics of the service in the text format of Prometheus.",
     }
     for path in PATHS:
         series = path == "/metrics"

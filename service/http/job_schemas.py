@@ -1,4 +1,4 @@
-"""What the service tells of jobs: uploads, and clips of tier exact."""
+"""Answers about jobs: uploads, and clips of tier exact."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from service.http.garment_schemas import WearerFound
 
 
 class FrameTold(BaseModel):
-    """The figures of a frame of tier exact."""
+    """The figures of a frame of a clip of tier exact."""
 
-    frame: int
+    frame: int = Field(description="The number of the frame in the clip, from 0.")
     force_share: float = Field(
         description="The norm of the forces left at all vertices, divided by the cloth's weight."
     )
@@ -25,31 +25,35 @@ class FrameTold(BaseModel):
 
 
 class JobInfo(BaseModel):
-    """Returns the state of an upload, or of a clip of tier exact."""
+    """The state of an upload, or of a clip of tier exact."""
 
     id: str
     name: str
     state: Literal["queued", "running", "done", "failed", "cancelled"]
-    stage: str | None = Field(default=None, description="While the job runs: what its process does.")
+    stage: str | None = Field(default=None, description="The name of the stage that a running job is in.")
     share: float = Field(
         default=0.0,
-        description="How much of the work is done, 0 to 1. It follows the usual times of the stages and is no clock.",
+        description="The share of the work that is done, 0 to 1. For an upload it follows the usual times of the "
+        "stages.",
     )
     garment: str | None = Field(
-        default=None, description="Of an uploaded garment that is done: its id; of several in a file the outermost."
+        default=None,
+        description="The id of the garment of a finished upload; of several garments in its file the outermost.",
     )
     garments: list[str] = Field(
-        default=[], description="Of an uploaded garment that is done: the garments in the file, the innermost first."
+        default=[], description="The ids of all garments of a finished upload, the innermost first."
     )
     wearer: WearerFound | None = Field(
-        default=None, description="Of an uploaded garment whose avatar nobody named: the body that was found in it."
+        default=None,
+        description="The body on which a finished upload was modelled, as it was found from the cloth. Null if the "
+        "upload named it.",
     )
-    avatar: str | None = Field(default=None, description="Of an uploaded character that is done: the avatar's id.")
-    problem: dict[str, Any] | None = Field(default=None, description="Of a job that failed: the refusal.")
+    avatar: str | None = Field(default=None, description="The id of the avatar of a finished upload of a character.")
+    problem: dict[str, Any] | None = Field(default=None, description="The refusal that ended a failed job.")
     notes: list[str] = Field(
-        default=[], description="Of a job that is done: sentences on what was left out or looks wrong."
+        default=[], description="Sentences on what was left out of a finished job or looks wrong with it."
     )
-    frames: int | None = Field(default=None, description="Of a clip: the number of its frames.")
+    frames: int | None = Field(default=None, description="The number of frames of a clip.")
     told: list[FrameTold] = Field(
-        default=[], description="Of a clip: the figures of the frames that are finished, in order."
+        default=[], description="The figures of the frames of a clip that are finished, in order."
     )

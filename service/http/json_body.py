@@ -1,7 +1,8 @@
-"""JSON that clients send: counted before it is parsed, so that no body holds the interpreter lock for long.
+"""Reads JSON of clients, whose marks are counted before it is parsed, so that no body holds the interpreter lock long.
 
-A parser makes an object of every bracket and comma and keeps the lock until it is through: a mebibyte of empty lists
-took seconds. A request has a known number of marks at most, so more is refused unparsed.
+A mark is a comma, a colon or an opening bracket. A parser makes an object of each and holds the lock until it ends: a
+mebibyte of empty lists took seconds. The number of marks that a request can need is known, so more are refused
+unparsed.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ from service.http.problems import not_json, validation_refusal
 
 MARKS = b",:[{"
 _OTHER_BYTES = bytes(byte for byte in range(256) if byte not in MARKS)
-FRAME_MARKS = 4 * JOINT_COUNT + 5  # of 24 x 3 numbers in poses and 3 in trans
-SMALL_MARKS = 10_000  # of a request without poses
-PIECE_BYTES = 256 * 1024  # half a millisecond of counting
+FRAME_MARKS = 4 * JOINT_COUNT + 5  # the marks of a frame: 24 x 3 numbers in poses and 3 in trans
+SMALL_MARKS = 10_000  # the most marks of a request without poses
+PIECE_BYTES = 256 * 1024  # counted in half a millisecond
 JSON = "application/json"
 NO_JSON = "text that is not JSON"
 
@@ -31,38 +32,38 @@ Asked = TypeVar("Asked", bound=BaseModel)
 
 
 def clip_marks(max_frames: int) -> int:
-    """Returns how many marks a clip of ``max_frames`` may have, and a quarter more: a clip that is a little too long is
-    then refused by its number of frames."""
+    """Returns the most marks that a request with a clip of ``max_frames`` frames may have. It is a quarter more than
+    needed, so that a clip that is a little too long is refused by its number of frames."""
     return 5 * max_frames * FRAME_MARKS // 4 + SMALL_MARKS
 
 
 def read_document(text: bytes, *, otherwise: str = NO_JSON) -> Any:
-    """Returns the parsed ``text``. Refuses more than ``SMALL_MARKS`` marks, and text that is not JSON with the sentence
-    ``otherwise``.
-    """
+    """Returns the value of the JSON ``text``. Refuses (``TooLarge``) more than ``SMALL_MARKS`` marks, and
+    (``InputError``) text that is not JSON, as which ``otherwise`` describes it."""
     marks = 0
     for more in _marks(text):
-        marks = _counted(marks + more, SMALL_MARKS)
+        marks = _check_count(marks + more, SMALL_MARKS)
     return parse_text(text, otherwise=otherwise)
 
 
 async def check_marks(text: bytes, sliced_thread: SlicedThread, *, most_marks: int) -> None:
-    """Refuses a ``text`` of more than ``most_marks`` marks (``MARKS``), counted piece by piece until there are more."""
+    """Refuses (``TooLarge``) a ``text`` of more than ``most_marks`` marks. A long one is counted in pieces on
+    ``sliced_thread``."""
     if len(text) <= BRIEF_TEXT:
-        _counted(sum(_marks(text)), most_marks)
+        _check_count(sum(_marks(text)), most_marks)
         return
     marks = 0
-    async for more in sliced_thread.each(_marks(text)):
-        marks = _counted(marks + more, most_marks)
+    async for more in sliced_thread.run_pieces(_marks(text)):
+        marks = _check_count(marks + more, most_marks)
 
 
 def _marks(text: bytes) -> Iterator[int]:
-    """The number of marks in each piece of ``text``."""
+    """Yields the number of marks in each piece of ``text``."""
     for start in range(0, len(text), PIECE_BYTES):
         yield len(text[start : start + PIECE_BYTES].translate(None, _OTHER_BYTES))
 
 
-def _counted(marks: int, most_marks: int) -> int:
+def _check_count(marks: int, most_marks: int) -> int:
     if marks > most_marks:
         raise TooLarge(
             "request body",
@@ -74,9 +75,8 @@ def _counted(marks: int, most_marks: int) -> int:
 
 
 def parse_text(text: bytes, *, otherwise: str = NO_JSON) -> Any:
-    """Returns the parsed ``text``, whose marks were counted. Refuses text that is not JSON with the sentence
-    ``otherwise``.
-    """
+    """Returns the value of the JSON ``text``, whose marks the caller has checked. Refuses (``InputError``) text that is
+    not JSON, as which ``otherwise`` describes it."""
     try:
         return from_json(text, cache_strings="none")
     except ValueError as error:
@@ -84,12 +84,13 @@ def parse_text(text: bytes, *, otherwise: str = NO_JSON) -> Any:
 
 
 def validate_document(model: type[Asked], document: Any) -> Asked:
-    """Returns ``document`` as a ``model``. Refuses (``InputError``) the first field that is wrong."""
+    """Returns ``document``, a value of JSON, as an instance of ``model``. Refuses (``InputError``) it for the first
+    field that is wrong."""
     known = set(wire_names(model).values())
     known |= Advanced.model_fields.keys() if issubclass(model, DrapeOptions) else set()
     if isinstance(document, dict):
         for unknown in [key for key in document if key not in known][1:]:
-            del document[unknown]  # pydantic makes an error of each, and one is told
+            del document[unknown]  # pydantic would make an error of each, but a refusal names only the first
     try:
         return model.model_validate(document)
     except ValidationError as error:
@@ -97,7 +98,8 @@ def validate_document(model: type[Asked], document: Any) -> Asked:
 
 
 async def json_text(request: Request) -> bytes:
-    """The body of ``request``; refuses one that does not say that it is JSON, and an empty one."""
+    """Returns the bytes of the body of ``request``. Refuses (``InputError``) a body whose Content-Type is not JSON, and
+    an empty one."""
     kind = content_type(request)
     body = await request.body()
     if kind != JSON and not (kind.startswith("application/") and kind.endswith("+json")):
@@ -108,5 +110,6 @@ async def json_text(request: Request) -> bytes:
 
 
 def content_type(request: Request) -> str:
-    """The media type of the body without its parameters, in lower case; empty where none was said."""
+    """Returns the media type of the body of ``request`` in lower case, without parameters; "" without a
+    Content-Type."""
     return request.headers.get("content-type", "").partition(";")[0].strip().lower()

@@ -1,4 +1,4 @@
-"""Answers that are made once, kept for a while, and not sent again to who has them."""
+"""Keeps contents of answers that are slow to make, and answers 304 to clients that have them already."""
 
 from __future__ import annotations
 
@@ -13,52 +13,52 @@ from fastapi import Response
 from service.http.encodings import accepts
 
 A_DAY = "private, max-age=86400"
-ASKED_AGAIN = "private, no-cache"  # what is meant by an address may become another: 304 is brief
-LEVEL = 6  # of compression
+ASKED_AGAIN = "private, no-cache"  # for addresses whose content may change; clients ask each time and get 304
+LEVEL = 6  # of gzip
 
 
 class Kept:
-    """The contents that were asked for last, ``most`` of them, by their tags."""
+    """The ``most`` contents of answers that were used last, by their ETags."""
 
     def __init__(self, most: int) -> None:
         self.most = most
-        self._made: OrderedDict[str, bytes] = OrderedDict()
+        self._contents: OrderedDict[str, bytes] = OrderedDict()
 
     def get(self, tag: str) -> bytes | None:
-        if (found := self._made.get(tag)) is not None:
-            self._made.move_to_end(tag)
-        return found
+        if (content := self._contents.get(tag)) is not None:
+            self._contents.move_to_end(tag)
+        return content
 
     def keep(self, tag: str, content: bytes) -> None:
-        self._made[tag] = content
-        while len(self._made) > self.most:
-            self._made.popitem(last=False)
+        self._contents[tag] = content
+        while len(self._contents) > self.most:
+            self._contents.popitem(last=False)
 
     async def answer(
         self,
         made_of: bytes,
         make: Callable[[], Awaitable[bytes]],
         *,
-        asked: Mapping[str, str],
+        request_headers: Mapping[str, str],
         kind: str,
         cache: str = A_DAY,
         packed: bool = True,
     ) -> Response:
-        """Returns an answer of the media type ``kind``, whose content is kept, or else made by ``make``; 304 if the
-        headers ``asked`` say that the client has it.
+        """Returns the response with the content for ``made_of``, of the media type ``kind``: the kept one, or else the
+        one that ``make`` returns. It is 304 if ``request_headers`` say that the client has the content.
 
-        ``made_of``: all that the content depends on. ``cache``: the header Cache-Control. ``packed``: ``make`` returns
-        compressed content (``packed_text``), which is sent as it is to a client that takes it.
+        ``made_of``: bytes that are equal only for equal contents. ``cache``: the header Cache-Control. ``packed``:
+        whether ``make`` returns the content compressed (``packed_text``); a client that accepts gzip gets it as it is.
         """
         tag = f'W/"{hashlib.sha256(made_of).hexdigest()[:24]}"'
         headers = {"ETag": tag, "Cache-Control": cache} | ({"Vary": "Accept-Encoding"} if packed else {})
-        if tag_is_known(tag, asked.get("if-none-match", "")):
+        if tag_is_known(tag, request_headers.get("if-none-match", "")):
             return Response(status_code=304, headers=headers)
         content = self.get(tag)
         if content is None:
             content = await make()
             self.keep(tag, content)
-        if packed and accepts(asked.get("accept-encoding", ""), "gzip"):
+        if packed and accepts(request_headers.get("accept-encoding", ""), "gzip"):
             headers["Content-Encoding"] = "gzip"
         elif packed:
             content = await asyncio.to_thread(gzip.decompress, content)
@@ -66,11 +66,11 @@ class Kept:
 
 
 def tag_is_known(tag: str, known: str) -> bool:
-    """Whether ``known``, the header If-None-Match, names ``tag``; strong and weak are alike."""
-    tags = {one.strip().removeprefix("W/") for one in known.split(",")}
+    """Returns whether ``known``, the value of If-None-Match, has the ETag ``tag``, strong or weak, or is "*"."""
+    tags = {entry.strip().removeprefix("W/") for entry in known.split(",")}
     return not tags.isdisjoint({tag.removeprefix("W/"), "*"})
 
 
 def packed_text(content: bytes) -> bytes:
-    """Returns ``content`` compressed; the same content gives the same bytes every time."""
+    """Returns ``content`` compressed by gzip. Equal contents give equal bytes, as no time is stored."""
     return gzip.compress(content, LEVEL, mtime=0)

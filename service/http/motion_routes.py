@@ -1,4 +1,4 @@
-"""REST: motion files of any kind as our own."""
+"""The route that reads motion files of all kinds."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ async def read_motion(
     ] = None,
 ) -> Response:
     """Reads a motion file. The body of the request is its raw bytes: BVH, GLB, glTF, VRM, VRMA, FBX or npz. The answer
-    is an npz with 24 joints: poses [rad], trans [m], y up, and mocap_framerate. The service keeps nothing of it.
+    is an npz of a clip, y up: poses (frames, 72) [rad], trans (frames, 3) [m], and mocap_framerate. The service does
+    not keep the file.
     """
     check_query(request.query_params, ("name", "clip"))
     path = PurePosixPath(name)
@@ -45,5 +46,5 @@ async def read_motion(
         raise InputError("name", expected=expected, got=name, cure="Give ?name=dance.fbx.")
     file = f"{slug(path.stem)}{path.suffix.lower()}"
     with state.access.using(client, "clips"):
-        found = await state.motion_files.read(file, request.stream(), clip)
-    return Response(found, media_type=BINARY)
+        content = await state.motion_files.read(file, request.stream(), clip)
+    return Response(content, media_type=BINARY)

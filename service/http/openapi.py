@@ -1,4 +1,4 @@
-"""Bodies, refusals and media types in the OpenAPI document that FastAPI does not read off the routes."""
+"""Adds to the OpenAPI document what FastAPI does not read from the routes: bodies, refusals and media types."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from service.http.schemas import Request as Schema
 
 REFERENCE = "#/components/schemas/{model}"
 BYTES = {"type": "string", "format": "binary"}
-EVERYWHERE = (Unauthorized, Forbidden, Busy, Unavailable)  # origins and hosts, keys, and a service that ends
-_OURS_OF_FASTAPI = ("HTTPValidationError", "ValidationError")  # which service.errors says as problems
+EVERYWHERE = (Unauthorized, Forbidden, Busy, Unavailable)  # the refusals that every route may have
+_UNUSED = ("HTTPValidationError", "ValidationError")  # FastAPI's models; this service answers with problems instead
 
 Responses = dict[int | str, dict[str, Any]]
 KNOWN: Responses = {304: {"description": "The client's copy is current."}}
 
 
 def responses(*refusals: type[DrapeError], kinds: Sequence[str] = ()) -> Responses:
-    """Returns the ``responses`` of a route that may refuse as ``refusals``; ``kinds`` are the media types of its 200
-    besides JSON."""
+    """Returns the argument ``responses`` of a route of FastAPI: a problem for the status of each class of ``refusals``,
+    and a 200 with the media types ``kinds``, if there are any."""
     answers: Responses = {}
     for kind in refusals:
         rule = rule_for(kind)
@@ -38,7 +38,8 @@ def responses(*refusals: type[DrapeError], kinds: Sequence[str] = ()) -> Respons
 
 
 def body_schema(model: type[Schema], **others: dict[str, Any]) -> dict[str, Any]:
-    """The ``openapi_extra`` of a route that reads ``model`` by itself; ``others`` are schemas by media type."""
+    """Returns the argument ``openapi_extra`` of a route that reads its body itself: ``model`` as JSON, or ``others``,
+    schemas by their media types."""
     content = {JSON: model.model_json_schema(ref_template=REFERENCE), **others}
     return {
         "requestBody": {"content": {kind: {"schema": schema} for kind, schema in content.items()}, "required": True}
@@ -46,18 +47,19 @@ def body_schema(model: type[Schema], **others: dict[str, Any]) -> dict[str, Any]
 
 
 def clip_schema(model: type[Schema]) -> dict[str, Any]:
-    """Returns the ``body_schema`` of a route that takes the motion as a CLIP message too."""
+    """Returns the ``body_schema`` of a route whose body is ``model`` as JSON or a CLIP message."""
     description = "A CLIP message (docs/reference/wire.md): the poses as float64, then all other fields as JSON."
     return body_schema(model, **{BINARY: BYTES | {"description": description}})
 
 
 def install_document(app: FastAPI) -> None:
-    """Makes the document of ``app`` one in which every reference leads somewhere and every refusal is a problem."""
-    read_off = app.openapi
+    """Replaces ``app.openapi`` by a function that completes FastAPI's document: it has the schemas of all bodies, and
+    every refusal is a problem."""
+    make_document = app.openapi
 
     def document() -> dict[str, Any]:
         if app.openapi_schema is None:
-            _complete(read_off())
+            _complete(make_document())
         assert app.openapi_schema is not None
         return app.openapi_schema
 
@@ -65,13 +67,13 @@ def install_document(app: FastAPI) -> None:
 
 
 def _complete(document: dict[str, Any]) -> None:
-    named = document["components"]["schemas"]
-    for name in _OURS_OF_FASTAPI:
-        named.pop(name, None)
-    named[Problem.__name__] = Problem.model_json_schema()
-    for operation in (one for path in document["paths"].values() for one in path.values()):
-        said = operation["responses"]
-        if JSON in said.get("422", {}).get("content", {}):  # FastAPI's own, wherever there are parameters
-            del said["422"]
+    schemas = document["components"]["schemas"]
+    for name in _UNUSED:
+        schemas.pop(name, None)
+    schemas[Problem.__name__] = Problem.model_json_schema()
+    for operation in (operation for path in document["paths"].values() for operation in path.values()):
+        answers = operation["responses"]
+        if JSON in answers.get("422", {}).get("content", {}):  # FastAPI adds it wherever there are parameters
+            del answers["422"]
         for body in operation.get("requestBody", {}).get("content", {}).values():
-            named |= body["schema"].pop("$defs", {})
+            schemas |= body["schema"].pop("$defs", {})

@@ -1,4 +1,4 @@
-"""Pages for people: the application at ``/``, and the reference of the REST interface at ``/docs``."""
+"""The pages of the service: the application at ``/``, and the reference of the REST interface at ``/docs``."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ from service.errors import problem_of, rule_for
 from service.http.encodings import accepts
 
 PAGE_MISSING = Unavailable(
-    "page", expected="its built files", got="none", cure="Run make page in a clone (needs Node.js), then reload."
+    "page", expected="its built files", got="none", cure="Run make page in a clone (it needs Node.js), then reload."
 )
-REFERENCE_PACKAGE = "fastapi_offline"  # carries the files of Swagger UI; its code is not used
+REFERENCE_PACKAGE = "fastapi_offline"  # it has the files of Swagger UI; its code is not used
 REFERENCE_FILES = ("swagger-ui-bundle.js", "swagger-ui.css", "favicon.png")
 REFERENCE_MISSING = Unavailable(
     "reference",
-    expected="the package fastapi-offline, which carries Swagger UI",
+    expected="the package fastapi-offline, which has the files of Swagger UI",
     got="none",
-    cure="Install the wheel with [serve]; /openapi.json says the same to programs.",
+    cure="Install the wheel with [serve]. Programs read /openapi.json.",
 )
-# Scripts, styles and workers are files of this service. A blob is a picture or a texture that the page made itself.
+# Scripts, styles and workers are files of this service. A blob is a picture or a texture that the page has made.
 POLICY = "; ".join(
     (
         "default-src 'none'",
-        "script-src 'self' 'wasm-unsafe-eval'",  # folds that the page makes are WebAssembly
+        "script-src 'self' 'wasm-unsafe-eval'",  # the page computes folds by WebAssembly
         "worker-src 'self'",
         "style-src 'self'",
         "img-src 'self' blob: data:",
-        "connect-src 'self' blob: data: ws: wss:",  # a stream may go on at the successor of a service that ends
+        "connect-src 'self' blob: data: ws: wss:",  # a stream may go on at another process, with another address
         "frame-src 'self'",
         "form-action 'self'",
         "base-uri 'none'",
         "frame-ancestors 'self'",
     )
 )
-# The frame of a tracker that a user brings: scripts may be theirs. Its origin is nobody's, and it reaches nothing.
+# The frame of a user's own tracker may run scripts of theirs. So it has an origin of its own and no network.
 TRACKER = "tracker.html"
 TRACKER_POLICY = "; ".join(
     (
@@ -61,19 +61,19 @@ TRACKER_POLICY = "; ".join(
     )
 )
 PACKED = {"br": ".br", "gzip": ".gz"}  # encodings and suffixes of files that the build has compressed, the best first
-NAMED_BY_CONTENT, FOR_EVER = "part-", "public, max-age=31536000, immutable"
+NAMED_BY_CONTENT, FOR_EVER = "part-", "public, max-age=31536000, immutable"  # such names hold a hash of the content
 _METHODS = ("DELETE", "GET", "PATCH", "POST", "PUT")
 
 
 class Page(StaticFiles):
-    """Static files that may be built after the service has started."""
+    """The application that serves the static files in ``folder``, which may be built after the service has started."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(directory=folder, html=True, check_dir=False)
         self._index = folder / "index.html"
 
     async def check_config(self) -> None:
-        """Checks nothing: the folder may appear after the start."""
+        """Does nothing, because the folder may appear after the start."""
 
     async def get_response(self, path: str, scope: Scope) -> Response:
         if path == "." and not self._index.is_file():
@@ -88,7 +88,7 @@ class Page(StaticFiles):
             if error.status_code == 404 and (methods := _methods(scope)):
                 raise HTTPException(405, headers={"Allow": ", ".join(methods)}) from error
             raise
-        # Where the name does not change with the content it is asked again, 304 is cheap.
+        # Browsers ask again for files whose names do not change with the content; 304 is cheap.
         response.headers["Cache-Control"] = FOR_EVER if path.startswith(NAMED_BY_CONTENT) else "no-cache"
         response.headers["Content-Security-Policy"] = TRACKER_POLICY if path == TRACKER else POLICY
         return response
@@ -96,11 +96,12 @@ class Page(StaticFiles):
     def file_response(
         self, full_path: str | os.PathLike[str], stat_result: os.stat_result, scope: Scope, status_code: int = 200
     ) -> Response:
-        """Returns the file, compressed if the build has left it so and the client takes that."""
-        asked = Headers(scope=scope).get("accept-encoding", "")
+        """Returns the response with the file ``full_path``: its compressed copy if the build has made one and the
+        client accepts it."""
+        accepted = Headers(scope=scope).get("accept-encoding", "")
         for encoding, suffix in PACKED.items():
             packed = f"{full_path}{suffix}"
-            if accepts(asked, encoding) and os.path.isfile(packed):
+            if accepts(accepted, encoding) and os.path.isfile(packed):
                 response = super().file_response(packed, os.stat(packed), scope, status_code)
                 response.headers["Content-Encoding"] = encoding
                 break
@@ -111,20 +112,21 @@ class Page(StaticFiles):
 
 
 def _methods(scope: Scope) -> list[str]:
-    """The methods that this path has elsewhere: the page answers for every request that no route took whole."""
+    """Returns the methods that routes of the service have for the path of ``scope``. A request with another method for
+    that path comes to the page."""
     routes = [route for route in scope["app"].routes if not isinstance(route, Mount)]
-    asked = ({**scope, "method": method} for method in _METHODS)
-    return [one["method"] for one in asked if any(route.matches(one)[0] is Match.FULL for route in routes)]
+    scopes = ({**scope, "method": method} for method in _METHODS)
+    return [other["method"] for other in scopes if any(route.matches(other)[0] is Match.FULL for route in routes)]
 
 
 def files_folder() -> Path | None:
-    """The folder of the files of Swagger UI; None where the package is missing."""
+    """Returns the folder with the files of Swagger UI; None if the package that has them is missing."""
     spec = find_spec(REFERENCE_PACKAGE)
     return None if spec is None or spec.origin is None else Path(spec.origin).parent / "static"
 
 
 def install_reference(app: FastAPI) -> None:
-    """Adds ``/docs`` and its files to ``app``, which must have none of FastAPI's own."""
+    """Adds ``/docs`` and its files to ``app``, which must have been made with ``docs_url=None``."""
     folder = files_folder()
 
     async def docs() -> HTMLResponse:

@@ -1,4 +1,4 @@
-"""Refusals as problem documents (RFC 9457); a complaint of pydantic about a request is one refusal of ours."""
+"""Answers refusals with problem documents (RFC 9457), and makes refusals of pydantic's errors about requests."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from starlette.exceptions import HTTPException
 from drape.errors import DrapeError, InputError, MotionError, NotFound, did_you_mean
 from service.errors import PROBLEM, problem_of, problem_response
 
-SHOWN = 60  # characters of what came
+SHOWN = 60  # the most characters of a value that a refusal repeats
 
-# What a field holds, by depth inside it: the list, its items, their items.
+# What is expected in a field, by the depth inside it: of the list, its items, their items.
 _LEVELS: dict[str, tuple[str, ...]] = {
     "poses": ("a list of frames", "24 joints", "3 numbers [rad]", "a finite number [rad]"),
     "trans": ("one translation per frame", "3 numbers [m]", "a finite number [m]"),
@@ -36,7 +36,7 @@ _HTTP_REFUSALS: dict[int, tuple[type[DrapeError], str, str]] = {
 
 
 def install_handlers(app: FastAPI) -> None:
-    """Makes every refusal of ``app`` a problem document. Faults of ours are left to ``service.watch.logs``."""
+    """Makes ``app`` answer every refusal with a problem document. ``service.watch.logs`` answers faults of ours."""
 
     @app.exception_handler(DrapeError)
     async def on_refusal(request: Request, error: DrapeError) -> JSONResponse:
@@ -57,11 +57,13 @@ def install_handlers(app: FastAPI) -> None:
 
 
 def validation_refusal(errors: Sequence[Any], known: Iterable[str] = ()) -> InputError:
-    """Returns the refusal for the first of pydantic's ``errors``; ``known`` are the fields that exist.
+    """Returns the refusal for the first of pydantic's ``errors``: a ``MotionError`` for poses, translations and shapes,
+    else an ``InputError``. ``known`` are the names of the fields that exist, for a misspelt one.
 
-    A field that may be of several kinds has a complaint of each kind. The one that came furthest is meant.
+    A field that may have several types has an error for each. The one for the deepest part of the field is used.
     """
-    first = max((one for one in errors if one["loc"][:1] == errors[0]["loc"][:1]), key=lambda one: len(one["loc"]))
+    same_field = (error for error in errors if error["loc"][:1] == errors[0]["loc"][:1])
+    first = max(same_field, key=lambda error: len(error["loc"]))
     location = _without_kinds([part for part in first["loc"] if part not in ("query", "path", "header")], first["type"])
     more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
     if not location:
@@ -88,13 +90,14 @@ def validation_refusal(errors: Sequence[Any], known: Iterable[str] = ()) -> Inpu
 
 
 def not_json(got: str) -> InputError:
-    """The refusal of a body that is no JSON object."""
+    """Returns the refusal of a body that is no JSON object but ``got``."""
     cure = "Send JSON with Content-Type: application/json."
     return InputError("request body", expected="a JSON object", got=got, cure=cure)
 
 
 def check_query(names: Iterable[str], known: tuple[str, ...]) -> None:
-    """Refuses a parameter that is not ``known``, as an unknown field of JSON is: a typing mistake is not ignored."""
+    """Refuses (``InputError``) query parameters whose names are not ``known``, so that a typing mistake is not
+    ignored."""
     for name in names:
         if name not in known:
             cure = did_you_mean(name, known, f"Known are {', '.join(known)}.")
@@ -102,7 +105,7 @@ def check_query(names: Iterable[str], known: tuple[str, ...]) -> None:
 
 
 def _without_kinds(location: list[int | str], complaint: str) -> list[int | str]:
-    """``location`` without the parts that name a kind of value, as a class or a type is written, and no field."""
+    """Returns pydantic's ``location`` of an error without the parts that name a type and not a field."""
     fields = {0, len(location) - 1} if complaint in ("missing", "extra_forbidden") else {0}
 
     def is_kind(part: int | str) -> bool:
@@ -112,15 +115,17 @@ def _without_kinds(location: list[int | str], complaint: str) -> list[int | str]
 
 
 def _wanted(error: Any) -> str:
-    """The demand in pydantic's sentence: "String should have at least 1 character" after "expected" is none."""
-    if str(error["type"]).startswith("union_tag"):  # an object that says in a field of which kind it is
-        told = error["ctx"]
-        return f"{told['discriminator']}" + (f": one of {told['expected_tags']}" if "expected_tags" in told else "")
+    """Returns what is expected, from pydantic's sentence: that of "String should have at least 1 character" is "at
+    least 1 character"."""
+    if str(error["type"]).startswith("union_tag"):  # the object has a field that names its kind
+        context = error["ctx"]
+        tags = f": one of {context['expected_tags']}" if "expected_tags" in context else ""
+        return f"{context['discriminator']}{tags}"
     return re.sub(r"^[A-Z][a-z]+ should (be |have )?", "", str(error["msg"]))
 
 
 def _shown(error: Any) -> str:
-    """The value that came, shortened."""
+    """Returns the value that came as short text for a refusal."""
     value = error.get("ctx", {}).get("tag", error.get("input"))
     if isinstance(value, (dict, list)):
         return f"{'an object' if isinstance(value, dict) else 'a list'} of {len(value)}"

@@ -1,4 +1,4 @@
-"""Arrays in the query of an address: numbers between commas."""
+"""Reads shape coefficients from the query of a request."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Betas = Annotated[
 
 
 def queried_shape(text: str | None, body: BodyModel) -> np.ndarray:
-    """Returns the shape (S,) of ``body`` in the query's ``betas``; zeros if there are none. Refuses text that is no
-    shape."""
+    """Returns the shape coefficients (S,) of ``body`` in ``text``, numbers between commas; zeros for those that are
+    left out. Refuses (``InputError``, ``BodyError``) text that is no shape of the body."""
     try:
         numbers = [float(part) for part in text.split(",")] if text else []
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""The JSON of requests and answers."""
+"""Requests and answers of clips, streams, garments, bodies and motions, and of the service's state."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 
 
 def _number(limit: float) -> Any:
-    """A finite number; of ``limit`` the schema tells, and ``drape.stages.batch`` refuses what is beyond it."""
-    told: dict[str, Any] = {"minimum": -limit, "maximum": limit}
-    return Annotated[float, Field(allow_inf_nan=False, strict=True, json_schema_extra=told)]
+    """Returns the type of a finite number within ``limit``. Only the schema has the limit; ``drape.stages.batch``
+    refuses numbers beyond it."""
+    bounds: dict[str, Any] = {"minimum": -limit, "maximum": limit}
+    return Annotated[float, Field(allow_inf_nan=False, strict=True, json_schema_extra=bounds)]
 
 
 Angles = Annotated[list[_number(ANGLE_LIMIT_RAD)], Len(3, 3), FIRST_ONLY]
@@ -36,36 +37,40 @@ Betas = Annotated[list[_number(BETA_LIMIT)], Len(0, BETA_COUNT), FIRST_ONLY]
 
 
 class Request(BaseModel):
-    """Base of what clients send. Unknown fields are refused, so that a typing mistake is not ignored."""
+    """The base of requests. Unknown fields are refused, so that a typing mistake is not ignored."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
 class PosedOptions(Request):
-    """The shape of a body in motion and the origin of the answer: all but its poses."""
+    """The options of a body in motion, all but its poses: its shape, the frame rate, and the origin of positions."""
 
     betas: Betas | None = Field(default=None, description="The shape coefficients of the body. Left out: zeros.")
-    fps: Annotated[float, Field(ge=0.001, le=1000.0, allow_inf_nan=False)] = 30.0
+    fps: Annotated[float, Field(ge=0.001, le=1000.0, allow_inf_nan=False)] = Field(
+        default=30.0, description="The number of frames per second."
+    )
     origin: Origin = Field(
         default="world",
-        description="What positions count from. world: the world's origin. root: each frame's root joint, whose "
-        "position the answer holds in float64. Far from the origin only root keeps the garment's shape.",
+        description="The point that positions are relative to. world: the world's origin. root: each frame's root "
+        "joint, whose position the answer holds in float64. Far from the world's origin only root keeps the "
+        "garment's shape.",
     )
 
 
 class PosedRequest(PosedOptions):
-    """A body in motion: its poses as rotation vectors [rad] relative to the parent joint, its root translations [m],
-    and its shape.
-    """
+    """A body in motion: its poses, its root translations and its shape."""
 
-    poses: Annotated[list[PoseRows], Len(1), FIRST_ONLY]
+    poses: Annotated[list[PoseRows], Len(1), FIRST_ONLY] = Field(
+        description="The pose in each frame: for each of the 24 joints a rotation vector [rad] relative to the "
+        "parent joint."
+    )
     trans: Annotated[list[Place], FIRST_ONLY] | None = Field(
         default=None, description="The translation of the root [m] in each frame. Left out: zeros."
     )
 
 
 class OnAvatar(BaseModel):
-    """The body that wears the garments."""
+    """The options that name the body which wears the garments."""
 
     avatar: Identifier | None = Field(
         default=None,
@@ -73,15 +78,16 @@ class OnAvatar(BaseModel):
     )
     alive: bool = Field(
         default=False,
-        description="Whether the avatar also wears its own clothes as cloth (`alive` of GET /avatars/{id}), but for "
-        "those that the garments replace. Then no garment needs to be named.",
+        description="Whether the avatar also wears its own clothes as cloth (`alive` of GET /avatars/{id}), except "
+        "those that the garments replace. No garment needs to be named then.",
     )
 
 
 class ClipOptions(DrapeOptions, WornGarments, OnAvatar, PosedOptions):
-    """The options of a garment, or of several over each other, on a body in motion: all but the poses."""
+    """The options of a clip of a garment, or of several worn over each other, on a body in motion: all but the
+    poses."""
 
-    body: bool = Field(default=False, description="Whether a GLB also holds the body, as a skinned mesh.")
+    body: bool = Field(default=False, description="Whether a GLB also has the body, as a skinned mesh.")
     rig: bool = Field(
         default=False,
         description="Whether a GLB of an avatar has the garments skinned to the nodes of the avatar's own file, with "
@@ -92,20 +98,24 @@ class ClipOptions(DrapeOptions, WornGarments, OnAvatar, PosedOptions):
         ge=1,
         le=64,
         strict=True,
-        description="With rig: how many joints of its own each garment gets in place of morph targets. They hang below "
-        "the rig's and are fitted to the clip, so the GLB is small and near the drape, and not the drape.",
+        description="With rig: the number of joints of its own that each garment gets in place of morph targets. "
+        "They are children of the rig's joints and are fitted to the clip, so the GLB is small and only close to the "
+        "drape.",
     )
     streamed: bool = Field(
         default=False,
-        description="Whether the frames of a binary answer leave as soon as they are ready. Its size may then exceed "
-        "the limit of an answer, and no header tells figures that are known only at the end.",
+        description="Whether the frames of a binary or PC2 answer are sent as soon as they are computed. The answer "
+        "may then exceed the limit of its size, and has no headers with figures that are known only at the end.",
     )
     keep: bool = Field(
         default=False,
-        description="Whether the service keeps the state of the cloth after the last frame. X-Drape-Past names it.",
+        description="Whether the service keeps the state of the cloth after the last frame for two minutes. The header "
+        "X-Drape-Past names it.",
     )
     past: Annotated[str, Field(max_length=120)] | None = Field(
-        default=None, description="The X-Drape-Past of the piece before this one. The clip goes on from its last frame."
+        default=None,
+        description="The X-Drape-Past of the answer to the piece before this one, after whose last frame the clip "
+        "goes on.",
     )
     quantised: bool = Field(
         default=True,
@@ -115,29 +125,29 @@ class ClipOptions(DrapeOptions, WornGarments, OnAvatar, PosedOptions):
 
 
 class DrapeRequest(ClipOptions, PosedRequest):
-    """A garment, or several worn over each other, on a body in motion."""
+    """The request of POST /drape: a garment, or several worn over each other, on a body in motion."""
 
 
 class RigDrapeRequest(ClipOptions):
-    """A garment, or several worn over each other, on an avatar in poses of its own rig: the local rotation of each of
-    its nodes, as x, y, z, w.
-    """
+    """The request of POST /drape for an avatar in poses of its own rig."""
 
-    avatar: Identifier = Field()  # which must be named here
-    rig_poses: Annotated[list[RigRows], Len(1), FIRST_ONLY]
+    avatar: Identifier = Field(description="The id of the avatar whose rig is posed.")
+    rig_poses: Annotated[list[RigRows], Len(1), FIRST_ONLY] = Field(
+        description="The pose in each frame: the local rotation of each of the avatar's nodes, as a quaternion x, y, "
+        "z, w."
+    )
     trans: Annotated[list[Place], FIRST_ONLY] | None = Field(
-        default=None,
-        description="The position of the node of the pelvis [m] in each frame. Left out: its position at rest.",
+        default=None, description="The position of the pelvis's node [m] in each frame. Left out: its position at rest."
     )
 
 
 class OpenRequest(DrapeOptions, WornGarments, OnAvatar, Request):
-    """The first message of a stream."""
+    """The message that opens a stream, or changes an open one."""
 
     type: Literal["open"]
-    betas: Betas | None = None
+    betas: Betas | None = Field(default=None, description="The shape coefficients of the body. Left out: zeros.")
     moves: bool = Field(
-        default=False, description="Whether the client can move to another process with the stream's state."
+        default=False, description="Whether the client can take the stream's state to another process and go on there."
     )
     same: bool = Field(
         default=False, description="Whether the client takes a SAME message in place of a frame that it already shows."
@@ -145,7 +155,7 @@ class OpenRequest(DrapeOptions, WornGarments, OnAvatar, Request):
 
 
 class Problem(BaseModel):
-    """A refusal (RFC 9457): what was wrong, what was expected, what came, and what cures it."""
+    """A refusal (RFC 9457): the name of what is wrong, what was expected, what came (`got`), and what cures it."""
 
     type: str
     title: str
@@ -158,47 +168,49 @@ class Problem(BaseModel):
 
 
 class CardHealth(BaseModel):
-    """The state of a graphics card that computes folds, or why it does not."""
+    """The state of the graphics cards that compute folds, all together."""
 
     name: str
-    fault: str = Field(description="Why frames are the processor's, in a sentence. Empty while the card draws.")
-    occupied: float = Field(description="The share of its memory that is taken.")
-    busy: float = Field(description="The share of its time that launches took since the start.")
-    queue_s: float = Field(description="The age [s] of the oldest frame that waits for it.")
-    frames: int
-    launches: int
-    frames_a_launch: float
+    fault: str = Field(
+        description="The sentence that says why the processor computes the frames. Empty while a card does."
+    )
+    occupied: float = Field(description="The share of the memory that is used, 0 to 1.")
+    busy: float = Field(description="The share of the time since the start in which launches ran, 0 to 1.")
+    queue_s: float = Field(description="The age of the oldest frame that waits [s].")
+    frames: int = Field(description="The number of frames computed since the start.")
+    launches: int = Field(description="The number of kernel launches since the start.")
+    frames_a_launch: float = Field(description="The mean number of frames in a launch.")
 
 
 class Health(BaseModel):
-    """Says that the service works, and with which model, provider and limits."""
+    """The state of the service, with its model, provider and limits."""
 
     model_config = ConfigDict(protected_namespaces=())
 
     status: Literal["ok"]
     version: str
-    model: str
+    model: str = Field(description="The name of the model.")
     model_digest: str
-    dynamic: bool
-    provider: str
+    dynamic: bool = Field(description="Whether the network has an encoder of motion, for inertia by the network.")
+    provider: str = Field(description="What computes the network: the processor or a GPU.")
     compiled: bool = Field(description="Whether the product's own engine computes the network, and not ONNX Runtime.")
     elsewhere: int = Field(
         description="The number of operations that do not run on the provider. On a GPU each of them waits for a copy."
     )
     device_bytes: int = Field(description="The bytes that the garments' constants take on the device that computes.")
-    card: CardHealth | None = Field(description="The card that draws folds. Null without the extra cuda.")
-    body: str
-    garments: int
+    card: CardHealth | None = Field(description="The graphics cards that compute folds. Null without the extra cuda.")
+    body: str = Field(description="The id of the standard body.")
+    garments: int = Field(description="The number of garments in service.")
     passes: int = Field(
         description="The most corrections of the network that a request may ask for. 0: there is no choice."
     )
     fabrics: bool = Field(description="Whether the network reads a garment's fabric.")
     layers: int = Field(description="The most garments of an outfit.")
-    max_frames: int = Field(description="The most frames of a request. Longer clips go in pieces.")
+    max_frames: int = Field(description="The most frames of a request. Longer clips are sent in pieces.")
     max_body_bytes: int = Field(description="The most bytes of a request's body.")
-    sessions: int
+    sessions: int = Field(description="The number of open streams.")
     refused_garments: list[str] = Field(
-        description="The stored garments that could not be loaded, each with the reason."
+        description="The stored garments that could not be loaded: the file's name and the reason of each."
     )
 
 
@@ -207,29 +219,30 @@ class FabricInfo(FabricNumbers):
 
     id: str
     thickness_m: float
-    friction: float
-    source: str
+    friction: float = Field(description="The coefficient of friction on skin and cloth.")
+    source: str = Field(description="Where the numbers come from.")
 
 
 class TierInfo(BaseModel):
-    """A tier: how many passes the network takes and how many steps of folds follow."""
+    """A tier: how many corrections the network makes and how many steps of folds follow."""
 
     id: TierName
     default: bool = Field(description="Whether a request that names no tier gets this one.")
-    passes: int
-    folds: int
+    passes: int = Field(description="The number of corrections of the network.")
+    folds: int = Field(description="The number of steps of folds.")
     coarse: bool = Field(
         description="Whether a coarse cloth takes the steps of folds. With folds 0 it takes one step, which eases the "
         "stretch of the network's drape."
     )
-    alone: int = Field(description="The passes of a drape without folds: of jets, or with folds 0.")
+    alone: int = Field(description="The number of corrections of a drape without folds: of jets, or with folds 0.")
     figures: dict[str, Any] = Field(
-        description="The figures that benchmarks.tradeoff measured of this tier, and the machine."
+        description="The figures that benchmarks.tradeoff measured of this tier, and the machine on which it did."
     )
 
     @classmethod
     def of(cls, tier: Tier, pass_count: int, *, default: TierName) -> TierInfo:
-        """Returns the answer about ``tier``, of a model that leaves ``pass_count`` passes to choose."""
+        """Returns the answer about ``tier`` of a model with at most ``pass_count`` corrections. ``default`` is the name
+        of the tier of requests that name none."""
         passes, alone = (min(pass_count, pass_count if p is None else p) for p in (tier.passes, tier.alone))
         named = TypeAdapter(TierName).validate_python(tier.name)
         return cls(
@@ -256,19 +269,22 @@ class GarmentInfo(BaseModel):
         "vertices where the delivered mesh is fine enough."
     )
     hung: bool = Field(
-        default=False, description="Whether what is drawn hangs on a cloth of other triangles, that of resolution fine."
+        default=False,
+        description="Whether the drawn mesh hangs on a cloth with triangles of its own, that of resolution fine.",
     )
     patches: int
     source: Literal["shipped", "user"]
     published: bool = Field(description="Whether other keys than its owner's may use it.")
-    materials: list[str]
-    fabric: str | dict[str, Any] = Field(description="The fabric of the garment, unless a request names another.")
+    materials: list[str] = Field(description="The names of the materials.")
+    fabric: str | dict[str, Any] = Field(
+        description="The fabric of the garment where a request names no other: its name or its numbers."
+    )
     sizes: list[SizeInfo] = Field(description="The sizes of the garment, the smallest first. Empty if it has one size.")
-    manifest: dict[str, Any]
+    manifest: dict[str, Any] = Field(description="The manifest of the garment's cache.")
 
     @staticmethod
     def of(entry: Entry, sizes: Sizes) -> GarmentInfo:
-        """The answer about ``entry``."""
+        """Returns the answer about the garment ``entry``, whose sizes are those in ``sizes``."""
         garment = entry.garment
         return GarmentInfo(
             id=entry.id,
@@ -284,28 +300,28 @@ class GarmentInfo(BaseModel):
             materials=list(garment.surface.material_names),
             fabric=garment.fabric if isinstance(garment.fabric, str) else dict(garment.fabric),
             sizes=[
-                SizeInfo(size=size, cut_for=sizes.cut_for(entry, size), **told)
-                for size, told in sizes.measures(entry).items()
+                SizeInfo(size=size, cut_for=sizes.cut_for(entry, size), **measures)
+                for size, measures in sizes.measures(entry).items()
             ],
             manifest=garment.manifest,
         )
 
 
 class BodyInfo(BaseModel):
-    """A body."""
+    """A body on which garments are draped."""
 
     id: str
     digest: str
     vertices: int
     faces: int
-    shapes: int
+    shapes: int = Field(description="The number of its shape coefficients.")
 
 
 class BodyDocument(BodyInfo):
-    """A body in a shape: its joints at rest [m] and the height of its soles [m], which place a clip on the ground."""
+    """A body in one shape."""
 
-    joints: list[list[float]]
-    floor_m: float
+    joints: list[list[float]] = Field(description="The positions of the 24 joints at rest [m].")
+    floor_m: float = Field(description="The height of the soles at rest [m], by which a clip is placed on the ground.")
 
 
 class MotionInfo(BaseModel):
@@ -318,42 +334,46 @@ class MotionInfo(BaseModel):
 
 
 class MotionDocument(MotionInfo):
-    """A sample clip with its poses and translations."""
+    """A sample clip with its poses and translations, as POST /drape takes them."""
 
-    poses: list[list[list[float]]]
-    trans: list[list[float]]
+    poses: list[list[list[float]]] = Field(
+        description="In each frame, for each of the 24 joints, a rotation vector [rad] relative to the parent joint."
+    )
+    trans: list[list[float]] = Field(description="The translation of the root in each frame [m].")
 
 
 class MeshDocument(BaseModel):
-    """A mesh at rest: positions [m], triangles, and texture coordinates, which are empty if the file has none."""
+    """A mesh at rest, in the coordinates of the body at rest."""
 
     id: str
-    vertices: list[list[float]]
-    faces: list[list[int]]
-    uv: list[list[float]]
-    uv_faces: list[list[int]]
-    materials: list[str]
-    face_material: list[int]
+    vertices: list[list[float]] = Field(description="The positions of the vertices [m].")
+    faces: list[list[int]] = Field(description="The triangles: three indices of vertices each.")
+    uv: list[list[float]] = Field(description="The texture coordinates. Empty if the file has none.")
+    uv_faces: list[list[int]] = Field(description="The triangles as indices of texture coordinates.")
+    materials: list[str] = Field(description="The names of the materials.")
+    face_material: list[int] = Field(description="The index of each triangle's material.")
 
 
 class LayerInfo(BaseModel):
     """One garment of an outfit."""
 
     id: str
-    vertices: int
+    vertices: int = Field(description="The number of its vertices.")
 
 
 class VerticesDocument(BaseModel):
-    """The positions of vertices [m], frame by frame, in the world's axes."""
+    """The positions of vertices in each frame, in the world's axes."""
 
     fps: float
     frames: int
     vertices: int
-    origin: Origin = Field(description="What positions count from: the world's origin, or each frame's root joint.")
+    origin: Origin = Field(
+        description="The point that positions are relative to: the world's origin, or each frame's root joint."
+    )
     roots: list[list[float]] | None = Field(
         default=None, description="With origin root: the position of the root joint in each frame [m], float64."
     )
     garments: list[LayerInfo] | None = Field(
-        default=None, description="Of an outfit: its garments in the order of their vertices."
+        default=None, description="The garments of an outfit, in the order of their vertices."
     )
-    positions: list[list[list[float]]]
+    positions: list[list[list[float]]] = Field(description="The position of each vertex in each frame [m].")

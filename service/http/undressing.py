@@ -1,4 +1,4 @@
-"""What the garments of a request take off a character."""
+"""Finds the own clothes of a character that the garments of a request take off."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ if TYPE_CHECKING:
 
 
 async def undressed_avatar(avatar_id: str, scene: Scene, state: State, client: Client) -> tuple[Wearer, Undressed]:
-    """Returns the avatar that wears ``scene``, and what its garments leave of its own surface to be drawn."""
+    """Returns the wearer of the avatar ``avatar_id``, which wears ``scene``, and which faces of its own surface the
+    garments take off and which skin is to be drawn instead."""
     wearer = await state.wearer(avatar_id, client)
-    ours = [(await state.garment(one.id, client)).garment for one in scene.layers if MARK not in one.id]
-    worn = [one.garment for one in scene.layers]
-    cloth = [(one.vertices, one.faces) for one in worn]
-    halves = halves_of(ours, state.runtime.body)
+    # The garments as they are on the standard body, but for those of its own clothes.
+    standard = [(await state.garment(layer.id, client)).garment for layer in scene.layers if MARK not in layer.id]
+    worn = [layer.garment for layer in scene.layers]
+    cloth = [(garment.vertices, garment.faces) for garment in worn]
+    halves = halves_of(standard, state.runtime.body)
     return wearer, await state.runtime.call_apart(undressed, wearer, own_faces(wearer, worn), cloth, halves)

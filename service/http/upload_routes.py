@@ -1,4 +1,4 @@
-"""REST: uploads of garment files, and how far each is."""
+"""Routes for uploads of garment files, and for jobs."""
 
 from __future__ import annotations
 
@@ -43,25 +43,27 @@ async def upload(
         str | None,
         Query(
             max_length=MOST_CHARACTERS,
-            description="The body that the garment was modelled on: a phenotype or SMPL parameters as JSON, or a name.",
+            description="The body that the garment was modelled on: a phenotype or SMPL parameters as JSON, or a name "
+            "(docs/guide/data.md). Left out: that of the file's name, or the body that is found from the cloth.",
         ),
     ] = None,
     format: Annotated[
-        str | None, Query(max_length=10, description=f"The format, if the name does not say it: {listed().lower()}.")
+        str | None,
+        Query(max_length=10, description=f"The format, if the name has no suffix for it: {listed().lower()}."),
     ] = None,
 ) -> JobInfo:
     """Uploads a garment. The body of the request is the raw bytes of its file, or a form (multipart/form-data) of a
     mesh file and the files that it names. The answer is a job: ask for its state until it has ended.
     """
     check_query(request.query_params, ("name", "avatar", "format"))
-    state.uploads.check_place(client)  # before anything is read
+    state.uploads.check_place(client)  # before the body is read
     if (kind := content_type(request)) == JSON:
         cure = f"Send the file itself as body, with ?name=shirt.obj and Content-Type: {BINARY}."
         raise InputError("request body", expected="the bytes of a mesh file", got="JSON", cure=cure)
-    # The reader of zips takes the parts of a form too.
+    # The reader of zip files also reads the parts of a form.
     stem, file_format = _name_and_format(name, "zip" if kind == FORM else format, kind)
-    known = upload_avatar(avatar, stem, state.runtime.settings.garments_dir)
-    job = await state.uploads.submit(stem, file_format, request.stream(), known, client)
+    body = upload_avatar(avatar, stem, state.runtime.settings.garments_dir)
+    job = await state.uploads.submit(stem, file_format, request.stream(), body, client)
     response.headers["Location"] = f"/jobs/{job.id}"
     return job_info(job)
 
@@ -75,8 +77,8 @@ async def job(job_id: str, state: StateHere, client: ClientHere) -> JobInfo:
 
 @router.delete("/jobs/{job_id}", status_code=204, responses=responses(NotFound))
 async def cancel_job(job_id: str, state: StateHere, client: ClientHere) -> None:
-    """Cancels an upload and removes its files. An upload that has ended is forgotten, and its garment stays. A clip of
-    tier exact is removed with all its frames.
+    """Cancels an upload and removes its files. Of an upload that has ended only the record is removed, and its garment
+    stays. A clip of tier exact is cancelled and removed with all its frames.
     """
     if (clip := state.exact.find(job_id, client.name)) is not None:
         return await asyncio.shield(state.exact.remove(clip))
@@ -93,7 +95,7 @@ def _name_and_format(name: str | None, file_format: str | None, content_type: st
             "format",
             expected=f"one of {', '.join(MESH_NAMES)}",
             got=chosen or (f"the name {name}" if name else "nothing"),
-            cure="Export the garment as one of these. If it is one, say so: ?name=shirt.obj, or ?format=obj.",
+            cure="Export the garment as one of these. Say which one: ?name=shirt.obj, or ?format=obj.",
         )
     if not stem:
         raise InputError("name", expected="the garment's name", got="nothing", cure="Give ?name=shirt.obj.")
@@ -101,8 +103,8 @@ def _name_and_format(name: str | None, file_format: str | None, content_type: st
 
 
 def job_info(job: Job) -> JobInfo:
-    made = job.results[-1] if job.results else None
-    fields = {"stage": job.stage, "share": round(job.share, 2), job.kind: made, "problem": job.problem}
+    last = job.results[-1] if job.results else None
+    fields = {"stage": job.stage, "share": round(job.share, 2), job.kind: last, "problem": job.problem}
     fields |= {"notes": list(job.notes), "wearer": job.wearer}
     if job.kind == "garment":
         fields["garments"] = list(job.results)

@@ -1,8 +1,8 @@
-"""The state that a stream takes along to another process: ``Handover``.
+"""The state that a stream takes to another process: ``Handover``.
 
-Signed under the secret of the tickets, for one key, one release, one model and one body, and good for ``LIFE_S``. It
-holds what the stages remember, how many poses were dropped and to which tier streams were held; times in it are the
-client's own. Whoever has none, or one that does not fit, begins anew.
+It is signed with the secret of the tickets, for one key, release, model and body, and valid for ``LIFE_S``. It holds
+the stages' memories, the number of dropped poses and the step that streams were held to. Its times are the client's. A
+stream without a state, or with one that does not fit, begins anew.
 """
 
 from __future__ import annotations
@@ -38,18 +38,18 @@ if TYPE_CHECKING:
     from service.guard.key_file import Client
     from service.guard.tickets import Tickets
 
-LIFE_S = 60.0
+LIFE_S = 60.0  # how long a state is valid
 _SIGNATURE_BYTES = 32
 _LENGTH = struct.Struct("<I")
-STATE_BYTES = 8 * 2**20  # of the state that a stream takes along; one with a larger one begins anew
+STATE_BYTES = 8 * 2**20  # the largest state; a stream with a larger one begins anew
 log = logging.getLogger("drape.service")
 _CURE = "Open the stream without it: it begins anew."
 
 
 @dataclass(frozen=True, eq=False)
-class Brought:
-    """The state that a stream has brought from another process: the stages' ``memories``, the number of poses
-    ``dropped`` so far, and the ``tier`` that streams were held to there."""
+class MovedState:
+    """The state of a stream that comes from another process: the stages' ``memories``, the number of ``dropped`` poses,
+    and ``tier``, the index in ``Runtime.steps`` of the step that streams were held to there."""
 
     memories: Memories
     dropped: int
@@ -57,7 +57,8 @@ class Brought:
 
 
 class Handover:
-    """Makes and reads the states of streams, and counts the bytes of incoming states that are held."""
+    """Writes and reads the states of streams, and limits the memory that incoming states take. ``tickets`` sign
+    them."""
 
     def __init__(self, runtime: DrapeRuntime, tickets: Tickets) -> None:
         self._runtime, self._tickets = runtime, tickets
@@ -65,20 +66,22 @@ class Handover:
         self._held = 0
 
     def state(self, session: StreamSession, client: Client, tier: int, *, now_s: float | None = None) -> bytes:
-        """Returns the signed state of ``session``, while streams are held to ``tier``. Empty if no other process could
-        read it, or if it is longer than ``STATE_BYTES``."""
+        """Returns the bytes of the signed state of ``session``; ``tier`` is the index of the step that streams are held
+        to. Empty if there is no shared secret, so that no other process could read it, or if it is longer than
+        ``STATE_BYTES``. ``now_s`` [s since 1970] is the current time by default."""
         if not self._tickets.shared:
             return b""
         head = self._bound(client, session.plan, session.betas)
         head |= {"expires_s": (time.time() if now_s is None else now_s) + LIFE_S}
         head |= {"dropped": session.dropped, "tier": tier}
         text = json.dumps(head).encode()
-        kept = tuple((*key, fetched(memory)) for key, memory in session.memories.items())
-        raw = _LENGTH.pack(len(text)) + text + encode_value(kept, self._classes, _plans(session.plan, session.steps))
+        memories = tuple((*key, fetched(memory)) for key, memory in session.memories.items())
+        plans = (session.plan, *session.steps)
+        raw = _LENGTH.pack(len(text)) + text + encode_value(memories, self._classes, plans)
         whole = self._tickets.sign(raw) + raw
         return whole if len(whole) <= STATE_BYTES else b""
 
-    def brought(
+    def read_state(
         self,
         blob: bytes,
         client: Client,
@@ -87,9 +90,10 @@ class Handover:
         betas: np.ndarray,
         *,
         now_s: float | None = None,
-    ) -> Brought:
-        """The state in ``blob`` for a stream of ``plan`` and ``betas``; refuses (``Unauthorized``) one that is forged,
-        expired or of another key, and (``InputError``) one of another release, model, scene or shape."""
+    ) -> MovedState:
+        """Returns the state in ``blob`` for a stream of ``plan``, with these ``steps``, on a body of the shape
+        ``betas``. Refuses (``Unauthorized``) one that is forged, expired or of another key than the client's, and
+        (``InputError``) one of another release, model, body, scene, shape or options."""
         raw = blob[_SIGNATURE_BYTES:]
         if not hmac.compare_digest(blob[:_SIGNATURE_BYTES], self._tickets.sign(raw)):
             raise _foreign("one that this service did not sign")
@@ -102,12 +106,12 @@ class Handover:
         for name, ours in self._bound(client, plan, betas).items():
             if head[name] != ours:
                 raise InputError("state", expected=f"the same {name}", got="another", cure=_CURE)
-        kept = decode_value(raw[start:], self._classes, _plans(plan, steps))
-        return Brought({(stage, owner): memory for stage, owner, memory in kept}, head["dropped"], head["tier"])
+        rows = decode_value(raw[start:], self._classes, (plan, *steps))
+        return MovedState({(stage, owner): memory for stage, owner, memory in rows}, head["dropped"], head["tier"])
 
     async def send_away(self, socket: WebSocket, session: StreamSession, client: Client, tier: int) -> None:
-        """Sends the state of ``session`` and the address to go to, and closes the connection. The client has
-        ``SEND_S`` to take it."""
+        """Sends the state of ``session`` and the address of the process to go on at, and closes the connection. Raises
+        ``TooSlow`` where the client does not take them within ``SEND_S``."""
         reason = Draining()
         blob = self.state(session, client, tier)
         pieces = split_state(blob)
@@ -126,24 +130,24 @@ class Handover:
             raise TooSlow("stream", expected=expected, got="a full connection", cure=cure) from None
         self._runtime.metrics.moved.labels(str(bool(pieces)).lower()).inc()
 
-    def resume(self, pieces: Incoming, session: StreamSession, client: Client) -> Brought | None:
-        """Lets ``session`` go on from the state in ``pieces`` and returns that; None if there is none, or if it does
-        not fit."""
+    def resume(self, pieces: Incoming, session: StreamSession, client: Client) -> MovedState | None:
+        """Puts the state in ``pieces`` into ``session`` and returns it. None if there is no state or it does not fit;
+        ``session`` then begins anew."""
         if not pieces.messages:
             return None
         try:
             blob = join_state(pieces.messages)
-            brought = self.brought(blob, client, session.plan, session.steps, session.betas)
+            moved = self.read_state(blob, client, session.plan, session.steps, session.betas)
         except DrapeError as error:
             log.info("stream begins anew: %s", error)
             self._runtime.metrics.brought.labels("false").inc()
             return None
-        session.memories, session.dropped = brought.memories, brought.dropped
+        session.memories, session.dropped = moved.memories, moved.dropped
         self._runtime.metrics.brought.labels("true").inc()
-        return brought
+        return moved
 
     def _bound(self, client: Client, plan: Plan, betas: np.ndarray) -> dict[str, Any]:
-        """The facts that must be the same on both sides, as JSON has them."""
+        """Returns the facts that must be equal in both processes, as JSON values."""
         return {
             "release": __version__,
             "key": client.name,
@@ -156,7 +160,8 @@ class Handover:
 
     @contextmanager
     def incoming(self) -> Iterator[Incoming]:
-        """Yields room for the pieces of one state, which are counted until the block ends."""
+        """Yields an empty ``Incoming`` for the pieces of one state. Their bytes count as in memory until the block
+        ends."""
         pieces = Incoming(self)
         try:
             yield pieces
@@ -164,8 +169,8 @@ class Handover:
             self._held -= pieces.size
 
     def hold(self, size: int, more: int) -> None:
-        """Counts ``more`` bytes of a state of which ``size`` bytes have come. Refuses (``TooLarge``, ``Busy``) what is
-        too much for one state or for all together."""
+        """Counts ``more`` bytes of a state of which ``size`` bytes are there. Refuses (``TooLarge``) a state that is
+        too large, and (``Busy``) more than ``HELD_BYTES`` of all states together."""
         if size + more > STATE_BYTES + PIECE_BYTES:
             expected = f"at most {STATE_BYTES} bytes"
             raise TooLarge("state", expected=expected, got=f"{size + more} or more", cure=_CURE)
@@ -176,7 +181,7 @@ class Handover:
 
 
 class Incoming:
-    """The pieces of one state so far, ``size`` bytes."""
+    """The STATE messages of one incoming state so far, and their ``size`` in bytes."""
 
     def __init__(self, handover: Handover) -> None:
         self._handover = handover
@@ -184,14 +189,10 @@ class Incoming:
         self.size = 0
 
     def take(self, message: bytes) -> None:
-        """Adds one piece, a STATE message."""
+        """Adds ``message``, a STATE message. Refuses as ``Handover.hold`` does."""
         self._handover.hold(self.size, len(message))
         self.size += len(message)
         self.messages.append(message)
-
-
-def _plans(plan: Plan, steps: Sequence[Plan]) -> tuple[Plan, ...]:
-    return (plan, *steps)
 
 
 def _foreign(got: str) -> DrapeError:

@@ -1,7 +1,8 @@
-"""Memories of stages as bytes, and back: ``encode_value`` and ``decode_value``.
+"""Encodes memories of stages as bytes and decodes them: ``encode_value`` and ``decode_value``.
 
-A tree of JSON, then the arrays that it names. A class is written by its name and read only if the reader knows it, so
-bytes can ask for nothing but values. Bits, types and the order of axes in memory stay: kernels are compiled for these.
+The bytes are a tree of JSON, and then the arrays that it names. A class is written by its name and read only if the
+reader knows it, so foreign bytes can make nothing but values. Bits, types and the order of axes in memory stay, because
+kernels read them.
 """
 
 from __future__ import annotations
@@ -21,16 +22,16 @@ _ALIGNED = 16
 
 
 def encode_value(value: Any, classes: Sequence[type], constants: Sequence[object] = ()) -> bytes:
-    """Returns the bytes that encode ``value``: numbers, texts, bytes, arrays, tuples and instances of ``classes``
-    (dataclasses, named tuples).
+    """Returns bytes that encode ``value``: None, numbers, texts, bytes, arrays, tuples, and instances of ``classes``,
+    which are dataclasses or named tuples.
 
-    A part that equals one of the ``constants`` is written as its place among them. Raises ``TypeError`` for another
-    type.
+    A part that equals one of the ``constants`` is written as its index among them. Raises ``TypeError`` for a part of
+    another type.
     """
     arrays = bytearray()
     names = {kind: _name(kind) for kind in classes}
 
-    def put(raw: bytes) -> int:
+    def append(raw: bytes) -> int:
         start = len(arrays)
         arrays.extend(raw + b"\0" * (-len(raw) % _ALIGNED))
         return start
@@ -39,12 +40,12 @@ def encode_value(value: Any, classes: Sequence[type], constants: Sequence[object
         if isinstance(part, np.ndarray | np.generic):
             array = np.asarray(part)
             transposed = array.flags.f_contiguous and not array.flags.c_contiguous
-            kept = array.T if transposed else array
-            return {"array": [array.dtype.str, kept.shape, put(kept.tobytes()), transposed]}
+            rows = array.T if transposed else array
+            return {"array": [array.dtype.str, rows.shape, append(rows.tobytes()), transposed]}
         if part is None or isinstance(part, bool | int | float | str):
             return part
         if isinstance(part, bytes):
-            return {"bytes": [put(part), len(part)]}
+            return {"bytes": [append(part), len(part)]}
         if type(part) is tuple:
             return {"tuple": [tree(item) for item in part]}
         for place, constant in enumerate(constants):
@@ -53,7 +54,7 @@ def encode_value(value: Any, classes: Sequence[type], constants: Sequence[object
         if type(part) in names:
             fields = {name: tree(getattr(part, name)) for name in _fields(type(part))}
             return {"class": names[type(part)], "fields": fields}
-        raise TypeError(f"{type(part).__name__} is not among what can be kept")
+        raise TypeError(f"{type(part).__name__} cannot be encoded")
 
     head = json.dumps(tree(value)).encode()
     head += b" " * (-(len(head) + _LENGTH.size) % _ALIGNED)
@@ -61,7 +62,8 @@ def encode_value(value: Any, classes: Sequence[type], constants: Sequence[object
 
 
 def decode_value(raw: bytes, classes: Sequence[type], constants: Sequence[object] = ()) -> Any:
-    """The value that ``encode_value`` made ``raw`` of; refuses (``InputError``) what names something unknown."""
+    """Returns the value that ``encode_value`` encoded as ``raw`` with equal ``constants``. Refuses (``InputError``) a
+    class that is not among ``classes``, or one with other fields."""
     known = {_name(kind): kind for kind in classes}
     start = _LENGTH.size + _LENGTH.unpack_from(raw)[0]
 
@@ -82,7 +84,7 @@ def decode_value(raw: bytes, classes: Sequence[type], constants: Sequence[object
                 return known[name](**{key: value(field) for key, field in parts.items()})
         raise InputError(
             "state",
-            expected="what this release remembers of a stream",
+            expected="the memories of a stream of this release",
             got=str(part.get("class", "something else"))[:120],
             cure="Open the stream without it.",
         )

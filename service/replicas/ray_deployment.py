@@ -1,8 +1,8 @@
 """The deployment that ``service.ray_app`` serves: replicas of the application on Ray Serve.
 
-Each replica is a process with the whole application. A stream stays with its replica; a replica that leaves hands its
-streams over (``State.drain``), and they come back to the same address. Nothing else in this project knows Ray, and
-Ray is imported only where it is used.
+Each replica is a process with the whole application. A stream stays with its replica. A replica that leaves hands its
+streams over (``State.drain``), and their clients connect to the same address again. Only this folder and
+``service.ray_app`` know Ray, and Ray is imported only where it is used.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ if TYPE_CHECKING:
     from service.state import State
 
 NAME = "drape"
-GRACE_S = 15.0  # for a replica to hand its streams over and to answer what it has begun
-UP_S, DOWN_S = 10.0, 120.0  # for how long more, or fewer, replicas must be wanted
-LOOK_BACK_S = 15.0
-LOOK_S = 2.0  # what replicas know of each other's uploads is not older
-STORE_BYTES = 100 * 2**20  # of Ray's object store, which holds no frame
+GRACE_S = 15.0  # the time in which a leaving replica hands its streams over and answers its requests
+UP_S, DOWN_S = 10.0, 120.0  # how long more, or fewer, replicas must be wanted before their number changes
+LOOK_BACK_S = 15.0  # the time over which Ray averages the loads
+LOOK_S = 2.0  # how often replicas look for each other's uploads
+STORE_BYTES = 100 * 2**20  # the size of Ray's object store, which holds no frames
 
 
 class Replica:
-    """The application in a process of Ray, which asks it for its health and its load."""
+    """The service's application in a process of Ray, with the methods by which Ray reads its health and load."""
 
     def __init__(self, settings: Settings) -> None:
         self._deadline_s = settings.frame_deadline_s
@@ -56,10 +56,10 @@ class Replica:
         self._settings = settings
 
     def __serve_build_asgi_app__(self) -> FastAPI:
-        """The application, whose lifespan Ray runs; the process is Ray's and has nothing else to do."""
+        """Returns the application, whose lifespan Ray runs. Ray calls it once, in the event loop of the process."""
         set_up(self._settings.log_format)
         gc.collect()
-        gc.freeze()  # as service.__main__ says
+        gc.freeze()  # service.__main__ says why
         take_turns()
         loop = asyncio.get_running_loop()
         ray_router.WATCHERS.append(lambda replicas: loop.call_soon_threadsafe(self._serving, replicas))
@@ -67,19 +67,21 @@ class Replica:
         return self._app
 
     def check_health(self) -> None:
-        """Raises where Ray should replace this process: its loop stands still, or it has drained and is kept."""
-        wrong = self._life.unhealthy() or (self._life.unready() if self._life.draining else None)
-        if wrong is not None:
-            raise wrong
+        """Raises ``DrapeError`` where Ray should replace this process: its event loop or a job stands still, or it has
+        drained and was not ended."""
+        fault = self._life.unhealthy() or (self._life.unready() if self._life.draining else None)
+        if fault is not None:
+            raise fault
 
     def record_autoscaling_stats(self) -> dict[str, float]:
-        """The load, as ``policy`` reads it."""
+        """Returns the load of this replica as ``Policy`` reads it: the 99th percentile of its frames' ages [s], and its
+        number of streams, by the names ``AGE`` and ``STREAMS``."""
         streams = self._state.streams.count if hasattr(self._app.state, "drape") else 0
         self._load = Load(self._ages.p99_s(), streams)
         return {AGE: self._load.age_s, STREAMS: float(streams)}
 
     async def here(self) -> int:
-        """Returns the id of this process."""
+        """Returns the id of this process, as the answer to a call that only finds out whether the replica is there."""
         return os.getpid()
 
     @property
@@ -92,14 +94,15 @@ class Replica:
         task.add_done_callback(self._tasks.discard)
 
     async def _watch(self) -> None:
-        """Asks a replica for nothing, through a handle of its own: from then on Ray tells it which replicas serve."""
+        """Calls any replica once through a handle of this process. From then on Ray tells it which replicas serve."""
         from ray import serve  # pyright: ignore[reportMissingImports]
 
         ours = serve.get_replica_context()
         await serve.get_deployment_handle(ours.deployment, ours.app_name).here.remote()
 
     def _serving(self, replicas: frozenset[str]) -> None:
-        """Drains where this replica no longer belongs to ``replicas``; gives new ones some of its late streams."""
+        """Takes the ids of the ``replicas`` that serve from now on. Drains if this one is no longer among them; moves
+        some streams to new ones if its frames are late."""
         from ray import serve  # pyright: ignore[reportMissingImports]
 
         mine, before = serve.get_replica_context().replica_tag, self._known
@@ -111,17 +114,18 @@ class Replica:
 
 
 def surplus(streams: int, before: frozenset[str], now: frozenset[str]) -> int:
-    """The share of a replica's ``streams`` that goes to the replicas that are new since ``before``."""
+    """Returns how many of a replica's ``streams`` should move to new replicas: as large a share of them as new ones, in
+    ``now`` but not in ``before``, are of all replicas that serve ``now``."""
     return streams * len(now - before) // len(now)
 
 
 def check_replicas(settings: Settings, least: int, most: int) -> None:
-    """Refuses (``InputError``) impossible numbers of replicas, and several that could not read each other's states or
-    would take the same port.
-    """
+    """Refuses (``InputError``) numbers of replicas that are below 1 or in the wrong order, and several replicas without
+    a common secret, since they could not read each other's states and tickets."""
     if not 1 <= least <= most:
         got = f"{least} {most}"
-        raise InputError("--replicas", expected="the least and the most, from 1", got=got, cure="Say --replicas 1 4.")
+        expected = "the least and the greatest number, from 1"
+        raise InputError("--replicas", expected=expected, got=got, cure="Say --replicas 1 4.")
     if most > 1 and settings.ticket_secret is None:
         raise InputError(
             "DRAPE_TICKET_SECRET",
@@ -132,10 +136,11 @@ def check_replicas(settings: Settings, least: int, most: int) -> None:
 
 
 def application(settings: Settings, least: int, most: int) -> Application:
-    """The deployment for Ray: ``least`` to ``most`` replicas with ``settings``; refuses as ``check_replicas``."""
+    """Returns the deployment of ``least`` to ``most`` replicas with ``settings``, for ``serve.run``. Refuses as
+    ``check_replicas`` does, and (``Unavailable``) where Ray is missing."""
     check_replicas(settings, least, most)
     serve = _serve()
-    # Other replicas may run on the same machine, so that one counts no processors but those that Ray gives it.
+    # Other replicas may run on the same machine, so each takes only the processors that Ray gives it.
     streaming = settings.stream_threads or settings.threads
     from ray.serve.config import AutoscalingConfig, AutoscalingPolicy, RequestRouterConfig  # pyright: ignore
 
@@ -151,7 +156,7 @@ def application(settings: Settings, least: int, most: int) -> Application:
             look_back_period_s=LOOK_BACK_S,
             policy=policy,
         ),
-        # The application refuses by itself what is too much, with a sentence; Ray would let it wait.
+        # The application itself refuses what is too much, with a sentence; Ray would let it wait.
         max_ongoing_requests=settings.max_connections,
         request_router_config=RequestRouterConfig(request_router_class="service.replicas.ray_router:Router"),  # pyright: ignore
         ray_actor_options={"num_cpus": max(settings.threads, streaming), "num_gpus": int(settings.provider == "cuda")},
@@ -160,7 +165,7 @@ def application(settings: Settings, least: int, most: int) -> Application:
         health_check_period_s=5.0,
         max_constructor_retry_count=2,
     )
-    # Streams come back to the address that they have: there is no successor by name.
+    # Clients of moved streams connect to the same address again, so there is no successor by name.
     changes: dict[str, Any] = {"successor": "", "stream_threads": streaming}
     if most > 1 and "garments_look_s" not in settings.model_fields_set:
         changes["garments_look_s"] = LOOK_S
@@ -168,14 +173,16 @@ def application(settings: Settings, least: int, most: int) -> Application:
 
 
 def prepare_ray() -> None:
-    """Sets what a cluster that is started from this process reads of the environment; before Ray is imported."""
+    """Sets the environment's variables that Ray reads when it is imported and when it starts a cluster from this
+    process. It is called before that."""
     os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"  # otherwise all of Ray's ports are open to the network
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # otherwise Ray tells its makers of every start
-    os.environ.setdefault("RAY_worker_niceness", "0")  # otherwise whatever else runs goes before frames
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # otherwise Ray reports every start to its makers
+    os.environ.setdefault("RAY_worker_niceness", "0")  # otherwise all other processes go before frames
 
 
 def start_ray(address: str | None = None, **more: Any) -> None:
-    """Joins the cluster at ``address``, or starts one of this machine's own, with ``more`` for ``ray.init``."""
+    """Connects this process to the Ray cluster at ``address``; None starts a cluster on this machine. ``more`` are
+    arguments of ``ray.init``."""
     import ray  # pyright: ignore[reportMissingImports]
 
     own: dict[str, Any] = {"include_dashboard": False, "object_store_memory": STORE_BYTES}
@@ -195,16 +202,16 @@ def run_replicas(serving: Application, settings: Settings, address: str | None) 
             signal.signal(number, lambda *_: stopped.set())
         print(f"drape on http://{settings.host}:{settings.port} with model {settings.model}, on Ray", flush=True)
         stopped.wait()
-    except RuntimeError as error:  # of a replica that does not start Ray tells no more
+    except RuntimeError as error:  # Ray does not say why a replica does not start
         cure = "Start python -m service with the same settings: it says why."
-        raise Unavailable("replicas", expected="ones that start", got=str(error)[:300], cure=cure) from error
+        raise Unavailable("replicas", expected="replicas that start", got=str(error)[:300], cure=cure) from error
     finally:
         serve.shutdown()
         ray.shutdown()
 
 
 def _serve() -> Any:
-    """Ray Serve; refuses with its cure where it is not installed."""
+    """Returns the module ``ray.serve``. Refuses (``Unavailable``) where it is not installed."""
     try:
         from ray import serve  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError as error:

@@ -1,1 +1,1 @@
-"""A folder that drapes a garment in the browser, without a service: what it holds, and the command that writes it."""
+"""Writes a folder of files by which browsers drape a garment without a service."""

@@ -1,4 +1,4 @@
-"""``python -m service.static GARMENT OUT``: a folder with a page that drapes the garment without a service.
+"""``python -m service.static GARMENT OUT`` writes a folder with a page that drapes the garment without a service.
 
 python -m service.static tshirt shirt --motion walk,turn --tier balanced
 python -m http.server 5173 --bind 127.0.0.1 --directory shirt
@@ -21,12 +21,16 @@ def main(arguments: list[str] | None = None) -> int:
         prog="python -m service.static",
         description="Writes a folder of files with a page on which browsers drape one garment by themselves.",
     )
-    parser.add_argument("garment", help="its id, as GET /garments has it")
-    parser.add_argument("out", type=Path, help="the folder, new or written by this command before")
-    parser.add_argument("--motion", default="walk", help="the clips that the page plays, comma-separated (walk)")
-    parser.add_argument("--tier", choices=get_args(TierName), help="how much a frame computes (balanced)")
-    parser.add_argument("--fabric", help="the name of one (the garment's own)")
-    parser.add_argument("--betas", type=_numbers, default=(), help="the body's shape, comma-separated (the mean one)")
+    parser.add_argument("garment", help="the garment's id, as GET /garments lists it")
+    parser.add_argument("out", type=Path, help="the folder to write: a new one, or one that this command has written")
+    parser.add_argument(
+        "--motion", default="walk", help="the ids of the clips that the page plays, comma-separated (default: walk)"
+    )
+    parser.add_argument("--tier", choices=get_args(TierName), help="how much a frame computes (default: balanced)")
+    parser.add_argument("--fabric", help="the name of a fabric (default: the garment's own)")
+    parser.add_argument(
+        "--betas", type=_numbers, default=(), help="the body's shape coefficients, comma-separated (default: zeros)"
+    )
     options = parser.parse_args(arguments)
     try:
         return _write(options)
@@ -44,17 +48,17 @@ def _write(options: argparse.Namespace) -> int:
     from service.app import create_app
     from service.compute.drape_runtime import DrapeRuntime
     from service.settings import load_settings
-    from service.static.site import Asked, network_sizes, write_folder
+    from service.static.site import FolderRequest, folder_sizes, write_folder
 
     settings = load_settings(keys_file=None)
     runtime = DrapeRuntime(settings)
     drape = DrapeOptions(**{name: value for name in ("tier", "fabric") if (value := getattr(options, name))})
-    asked = Asked(options.garment, tuple(options.motion.split(",")), drape, options.betas)
-    asyncio.run(write_folder(create_app(settings, runtime=runtime), runtime, asked, options.out))
-    found = network_sizes(options.out)
-    for name, count in sorted(found.items(), key=lambda item: -item[1]):
+    request = FolderRequest(options.garment, tuple(options.motion.split(",")), drape, options.betas)
+    asyncio.run(write_folder(create_app(settings, runtime=runtime), runtime, request, options.out))
+    sizes = folder_sizes(options.out)
+    for name, count in sorted(sizes.items(), key=lambda item: -item[1]):
         print(f"{count / 1e6:8.3f} MB  {name}")
-    print(f"{sum(found.values()) / 1e6:8.3f} MB  in all")
+    print(f"{sum(sizes.values()) / 1e6:8.3f} MB  in all")
     return 0
 
 

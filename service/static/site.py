@@ -1,7 +1,7 @@
-"""The folder of one garment that browsers drape by themselves: page, engine, network, and what a service would answer.
+"""Writes the folder by which browsers drape one garment without a service: page, engine, network and answers.
 
-All but the page lies there compressed (.gz), so that any server of files will do. ``about.json`` says which file is
-what; ``clients/web/lib/src/local.js`` reads it. The service's answers come from its application, asked in this process.
+All but the page is compressed (.gz), so that any server of files will do. ``about.json`` says what each file is, and
+``clients/web/lib/src/local.js`` reads it. The answers are those that the service's application gives in this process.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from fastapi import FastAPI
 
 from drape.artifacts import staged_folder
 from drape.engine.build import LIBRARIES, WEB
@@ -29,7 +28,7 @@ from drape.stages.batch import shape_array
 from drape.stages.network import Network
 from drape.wire.folds_message import pack_folds
 from drape.wire.options import DrapeOptions
-from service.settings import built
+from service.settings import page_folder
 from service.stream.opening import opening_answer
 
 if TYPE_CHECKING:
@@ -42,15 +41,16 @@ if TYPE_CHECKING:
 
 FORMAT = 3
 ABOUT = "about.json"
-PAGE = built("static/dist")
-ENGINE = (LIBRARIES if CLONE else built("")) / f"{WEB.name}{WEB.suffix}"
+PAGE = page_folder("static/dist")
+ENGINE = (LIBRARIES if CLONE else page_folder("")) / f"{WEB.name}{WEB.suffix}"
 JSON, BINARY = "application/json", "application/octet-stream"
-LEVEL = 6  # of compression
+COMPRESSION_LEVEL = 6  # of gzip
 
 
 @dataclass(frozen=True)
-class Asked:
-    """The wanted contents of a folder: the garment, the clips, the options of the drape, and the body's shape."""
+class FolderRequest:
+    """The contents that a folder shall have: the id of the garment, the ids of the clips, the options of the drape, and
+    the body's shape coefficients (S,); () is the mean shape."""
 
     garment: str
     motions: tuple[str, ...]
@@ -60,30 +60,30 @@ class Asked:
 
 @dataclass(frozen=True, eq=False)
 class Folder:
-    """A folder that is being written."""
+    """The folder ``path``, while files are added to it."""
 
     path: Path
 
     def add(self, name: str, content: bytes) -> str:
-        """Writes ``content`` compressed; returns the name of its file."""
+        """Writes ``content`` compressed by gzip, and returns the file's name: ``name`` and ".gz"."""
         file = f"{name}.gz"
-        (self.path / file).write_bytes(gzip.compress(content, LEVEL, mtime=0))
+        (self.path / file).write_bytes(gzip.compress(content, COMPRESSION_LEVEL, mtime=0))
         return file
 
 
-async def write_folder(app: FastAPI, runtime: DrapeRuntime, asked: Asked, target: Path) -> None:
-    """Writes the folder ``target`` for what is ``asked``; ``app`` is the service around ``runtime``.
+async def write_folder(app: FastAPI, runtime: DrapeRuntime, request: FolderRequest, target: Path) -> None:
+    """Writes the folder ``target`` that ``request`` describes. ``app`` is the service around ``runtime``.
 
-    Refuses what a client cannot drape by itself (``InputError``, ``ArtifactError``), a folder that is there and holds
-    something else, and a page that has not been built (``Unavailable``).
+    Refuses options or a model that a browser cannot drape by itself (``InputError``, ``ArtifactError``), a ``target``
+    that holds something else (``InputError``), and a page that has not been built (``Unavailable``).
     """
     if target.exists() and not is_ours(target):
         raise InputError(str(target), expected="a new folder", got="one with other files", cure="Name another folder.")
     check_built()
-    entry, shape = runtime.garments.get(asked.garment), shape_array(asked.betas, runtime.body)
-    for motion in asked.motions:
+    entry, shape = runtime.garments.get(request.garment), shape_array(request.betas, runtime.body)
+    for motion in request.motions:
         runtime.motions.get(motion)
-    chosen = asked.options.model_copy(update={"geometry": "jets", "folds_by": "client", "resolution": "fine"})
+    chosen = request.options.model_copy(update={"geometry": "jets", "folds_by": "client", "resolution": "fine"})
     async with app.router.lifespan_context(app):
         plan = runtime.plan(entry, chosen, messages=True)
         check_jets(runtime.engine.manifest)
@@ -95,10 +95,10 @@ async def write_folder(app: FastAPI, runtime: DrapeRuntime, asked: Asked, target
             about = {
                 "format": FORMAT,
                 "garment": entry.id,
-                "options": asked.options.model_dump(mode="json", exclude_unset=True) | {"betas": asked.betas},
+                "options": request.options.model_dump(mode="json", exclude_unset=True) | {"betas": request.betas},
                 "joints": runtime.body.rest_joints(shape).tolist(),
                 "opened": json.loads(opening_answer(plan, app.state.drape, None)),
-                "answers": {name: folder.add(*file) async for name, file in _answers(app, asked, plan)},
+                "answers": {name: folder.add(*file) async for name, file in _answers(app, request, plan)},
                 "engine": folder.add(ENGINE.name, ENGINE.read_bytes()),
                 "network": _add_network(folder, plan),
                 "novelty": _add_poses(folder, runtime.engine.pose_support),
@@ -107,7 +107,7 @@ async def write_folder(app: FastAPI, runtime: DrapeRuntime, asked: Asked, target
 
 
 def is_ours(target: Path) -> bool:
-    """Whether ``target`` is an empty folder or one that this module has written: such a one may be replaced."""
+    """Returns whether ``target`` may be replaced: it is an empty folder, or one that this module has written."""
     try:
         about = json.loads((target / ABOUT).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -116,23 +116,22 @@ def is_ours(target: Path) -> bool:
 
 
 def check_built() -> None:
-    """Refuses (``Unavailable``) where the page or the engine for browsers is not there."""
+    """Refuses (``Unavailable``) where the page or the engine for browsers has not been built."""
     missing = [path for path in (PAGE / "index.html", ENGINE) if not path.is_file()]
     if missing:
         got = f"no {missing[0]}"
-        raise Unavailable("page without a service", expected="its build", got=got, cure="Run make page.")
+        raise Unavailable("page without a service", expected="a build of it", got=got, cure="Run make page.")
 
 
 def check_inertia(options: DrapeOptions) -> None:
-    """Refuses (``InputError``) inertia of the network: the page has cloth's own."""
+    """Refuses (``InputError``) inertia by the network, because the page moves cloth only by the mesh's own mass."""
     if options.knob and options.advanced.inertia == "network":
         cure = "Leave inertia out, or stream from a service."
         raise InputError("advanced.inertia", expected="mesh without a service", got="network", cure=cure)
 
 
 def check_jets(manifest: Manifest) -> None:
-    """Refuses (``ArtifactError``) a model whose jets differ from those of the wire, which the client's reader takes for
-    granted."""
+    """Refuses (``ArtifactError``) a model whose jets have another number of coefficients than a JETS message."""
     (jet,) = (tensor for tensor in manifest.graphs[PACKED].outputs if tensor.name == "jet")
     if jet.shape[-1] != jets.FULL_COUNT:
         raise ArtifactError(
@@ -143,10 +142,10 @@ def check_jets(manifest: Manifest) -> None:
         )
 
 
-async def _answers(app: FastAPI, asked: Asked, plan: Plan) -> AsyncIterator[tuple[str, tuple[str, bytes]]]:
-    """What the client asks a service for: the path without its query, and (name of a file, content)."""
-    garment, betas = f"/garments/{asked.garment}", ",".join(str(beta) for beta in asked.betas)
-    fabric = asked.options.fabric if isinstance(asked.options.fabric, str) else ""
+async def _answers(app: FastAPI, request: FolderRequest, plan: Plan) -> AsyncIterator[tuple[str, tuple[str, bytes]]]:
+    """Yields each answer that the page needs of a service: its path without the query, and (name of a file, body)."""
+    garment, betas = f"/garments/{request.garment}", ",".join(str(beta) for beta in request.betas)
+    fabric = request.options.fabric if isinstance(request.options.fabric, str) else ""
     chosen = f"fabric={fabric}&betas={betas}&coarse={bool(plan.options.advanced.coarse)}"
     wanted = {
         f"{garment}/mesh": (f"{garment}/mesh?resolution=fine", BINARY, "mesh.bin"),
@@ -160,23 +159,24 @@ async def _answers(app: FastAPI, asked: Asked, plan: Plan) -> AsyncIterator[tupl
     body = json.loads(await ask_application(app, "/health", JSON))["body"]
     wanted[f"/bodies/{body}"] = (f"/bodies/{body}?betas={betas}", JSON, "body.json")
     wanted[f"/bodies/{body}/mesh"] = (f"/bodies/{body}/mesh?betas={betas}", BINARY, "body.bin")
-    for motion in asked.motions:
+    for motion in request.motions:
         wanted[f"/motions/{motion}"] = (f"/motions/{motion}?betas={betas}", JSON, f"motion-{motion}.json")
     for name, (path, kind, file) in wanted.items():
         yield name, (file, await ask_application(app, path, kind))
-    for name, ids in (("/garments", [asked.garment]), ("/motions", asked.motions)):
-        every = {one["id"]: one for one in json.loads(await ask_application(app, name, JSON))}
-        yield name, (f"{name[1:]}.json", json.dumps([every[one] for one in ids]).encode())
+    for name, ids in (("/garments", [request.garment]), ("/motions", request.motions)):
+        by_id = {entry["id"]: entry for entry in json.loads(await ask_application(app, name, JSON))}
+        yield name, (f"{name[1:]}.json", json.dumps([by_id[entry_id] for entry_id in ids]).encode())
 
 
 def _add_network(folder: Folder, plan: Plan) -> dict[str, str]:
-    """Writes the network of the garment: records of the engine in a FOLDS message."""
+    """Writes the network of the garment, as records of the engine in a FOLDS message. Returns its place."""
     network = next(stage for stage in plan.stages if isinstance(stage, Network))
     return {"file": folder.add("network.bin", pack_folds(*flat_records(network.records(plan))))}
 
 
 def _add_poses(folder: Folder, support: PoseSupport | None) -> dict[str, Any] | None:
-    """Writes the poses of training, int8, row after row of each part (``drape.body.pose_distance``)."""
+    """Writes the poses of training, int8, row after row of each part (``drape.body.pose_distance``). Returns their
+    place, numbers of rows and limits; None for a model without such poses."""
     if support is None:
         return None
     parts = (support.legs, support.trunk, support.tilt)
@@ -184,13 +184,14 @@ def _add_poses(folder: Folder, support: PoseSupport | None) -> dict[str, Any] | 
     return {"file": file, "rows": [len(part) for part in parts], "limits": support.limits.tolist()}
 
 
-def network_sizes(folder: Path) -> dict[str, int]:
-    """Bytes of the files in ``folder``, by name."""
+def folder_sizes(folder: Path) -> dict[str, int]:
+    """Returns the sizes in bytes of the files directly in ``folder``, by name."""
     return {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()}
 
 
 async def ask_application(app: FastAPI, path: str, kind: str) -> bytes:
-    """The body, of the media type ``kind``, of the answer of ``app`` to GET ``path``; raises its refusal."""
+    """Returns the body of the answer of ``app`` to GET ``path`` with ``kind`` as Accept header. Raises ``InputError``
+    with the fields of the problem document where the status is not 200."""
     address, _, query = path.partition("?")
     scope = {
         "type": "http",
@@ -207,12 +208,12 @@ async def ask_application(app: FastAPI, path: str, kind: str) -> bytes:
         "asgi": {"version": "3.0"},
     }
     sent: list[dict[str, Any]] = []
-    asked = iter([{"type": "http.request", "body": b"", "more_body": False}])
+    incoming = iter([{"type": "http.request", "body": b"", "more_body": False}])
 
     async def receive() -> dict[str, Any]:
-        for message in asked:
+        for message in incoming:
             return message
-        return await asyncio.Future()  # who asks does not go away
+        return await asyncio.Future()  # the client stays connected
 
     async def send(message: Any) -> None:
         sent.append(message)

@@ -1,4 +1,4 @@
-"""The messages that open a stream, or turn it to something else: what they ask for, and their answer."""
+"""Reads the message that opens a stream, or changes an open one, and writes the answer."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from service.http.schemas import OpenRequest
 from service.state import State
 from service.stream.session import CREDIT, Opening
 
-OPEN_S = 5.0  # for the opening message
+OPEN_S = 5.0  # the time for the opening message
 
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
@@ -32,7 +32,11 @@ if TYPE_CHECKING:
 
 
 async def first_text(socket: WebSocket, pieces: Incoming) -> str:
-    """Returns the text that opens a stream. STATE messages that come before it go to ``pieces``."""
+    """Returns the text of the first message of ``socket`` that is no STATE message; STATE messages go to ``pieces``.
+
+    Refuses (``TooSlow``) a client that sends none in time, and (``InputError``) bytes in place of text. Raises
+    ``WebSocketDisconnect`` where the client leaves.
+    """
     begun_s = time.monotonic()
     while True:
         until_s = begun_s + OPEN_S + pieces.size / PACE_BYTES_S
@@ -41,7 +45,7 @@ async def first_text(socket: WebSocket, pieces: Incoming) -> str:
         except TimeoutError:
             raise TooSlow(
                 "open message",
-                expected=f"within {OPEN_S:g} s",
+                expected=f"an open message within {OPEN_S:g} s",
                 got="nothing" if not pieces.messages else f"{pieces.size} bytes of a state",
                 cure='Send {"type": "open", "garment": ...} first.',
             ) from None
@@ -63,25 +67,27 @@ def text_of(message: Any) -> str:
 
 
 async def read_opening(text: str, state: State, client: Client) -> Opening:
-    """Returns what ``text`` asks for, once all that its frames need has been made."""
-    asked = validate_document(OpenRequest, read_document(text.encode()))
+    """Returns the opening that ``text``, the JSON of an ``OpenRequest``, asks for, after making all constants that its
+    frames need. Refuses what the request or its scene and options refuse."""
+    request = validate_document(OpenRequest, read_document(text.encode()))
     runtime = state.runtime
-    scene = await state.worn(asked, client)
-    plan = runtime.plan(scene, asked, messages=True)
-    betas = shape_array(asked.betas, runtime.on(scene).body)
+    scene = await state.requested_scene(request, client)
+    plan = runtime.plan(scene, request, messages=True)
+    betas = shape_array(request.betas, runtime.on(scene).body)
     steps = runtime.steps(plan)
     for step in {plan, *steps}:
         await runtime.prepare(step)
-    wearer = None if asked.avatar is None else await state.wearer(asked.avatar, client)
-    return Opening(plan, betas, steps, asked.moves, asked.same, wearer)
+    wearer = None if request.avatar is None else await state.wearer(request.avatar, client)
+    return Opening(plan, betas, steps, request.moves, request.same, wearer)
 
 
 def opening_answer(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str:
-    """Returns the answer to an opening that got ``plan``, on ``wearer`` or our body."""
+    """Returns the JSON of the ``opened`` message (docs/reference/wire.md) for a stream of ``plan`` on ``wearer``, or on
+    the standard body where that is None. ``more`` are further fields."""
     scene, options, numbers = plan.shown, plan.options, plan.options.advanced
     jets = options.geometry == "jets"
     worn = {"garments": layer_list(scene, patches=jets)} if isinstance(scene, Outfit) else {"garment": scene.id}
-    if jets:  # an answer about vertices is what it was before there were jets
+    if jets:  # clients of vertices expect none of these fields
         worn |= {"geometry": "jets", "patches": scene.patch_count}
     if wearer is not None:
         worn |= {"nodes": len(wearer.nodes)}

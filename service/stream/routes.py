@@ -1,6 +1,6 @@
-"""WS /stream: one JSON message opens, binary poses come in, binary frames go out, as in docs/reference/wire.md.
+"""The route WS /stream: a JSON message opens it, binary poses come in, binary frames go out (docs/reference/wire.md).
 
-A session has a mailbox for one pose; a newer pose replaces it and is counted. Credit bounds the frames under way.
+A session has a mailbox for one pose. A newer pose replaces it, which is counted. Credit bounds the frames under way.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ log = logging.getLogger("drape.service")
 
 @router.websocket("/stream")
 async def stream(socket: WebSocket) -> None:
-    """Serves one client of the stream, from its handshake to its close."""
+    """Serves one client of the stream, from its handshake until it leaves, is refused or moves to another process."""
     state: State = socket.app.state.drape
     offered = socket.scope.get("subprotocols", [])
     try:
@@ -67,7 +67,7 @@ def _check_protocol(offered: list[str]) -> None:
         raise InputError(
             "Sec-WebSocket-Protocol",
             expected=wire.SUBPROTOCOL,
-            got=", ".join(one for one in offered if not one.startswith(OFFER)) or "none",
+            got=", ".join(protocol for protocol in offered if not protocol.startswith(OFFER)) or "none",
             cure="Use a client of the same release.",
         )
 
@@ -76,21 +76,21 @@ async def _converse(socket: WebSocket, state: State, client: Client) -> None:
     """Opens the session and runs it until the client leaves or something is refused."""
     state.streams.check_place()
     with state.handover.incoming() as pieces:
-        asked = await read_opening(await first_text(socket, pieces), state, client)
+        opening = await read_opening(await first_text(socket, pieces), state, client)
         session = StreamSession(
-            asked.plan,
-            asked.betas,
+            opening.plan,
+            opening.betas,
             CREDIT,
-            asked.steps,
-            moves=asked.moves,
-            same=asked.same,
-            wearer=asked.wearer,
+            opening.steps,
+            moves=opening.moves,
+            same=opening.same,
+            wearer=opening.wearer,
             link=state.runtime.tracing.here(),
         )
-        brought = state.handover.resume(pieces, session, client)
+        moved = state.handover.resume(pieces, session, client)
     if state.life.draining:
         raise Draining
-    state.streams.add(session, None if brought is None else brought.tier)
+    state.streams.add(session, None if moved is None else moved.tier)
     tasks = [
         asyncio.create_task(part)
         for part in (
@@ -99,7 +99,7 @@ async def _converse(socket: WebSocket, state: State, client: Client) -> None:
             _watch(session, state),
         )
     ]
-    resumed = {"resumed": brought is not None} if pieces.messages else {}
+    resumed = {"resumed": moved is not None} if pieces.messages else {}
     try:
         await socket.send_text(opening_answer(session.plan, state, session.wearer, **resumed))
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -109,7 +109,7 @@ async def _converse(socket: WebSocket, state: State, client: Client) -> None:
         state.streams.discard(session)
         for task in tasks:
             task.cancel()
-        # Their own errors no longer matter; the first one is being told.
+        # The first error is being raised; those of the other tasks do not matter.
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
@@ -129,7 +129,7 @@ async def _read(socket: WebSocket, session: StreamSession, state: State, client:
 
 
 def _take(payload: bytes, session: StreamSession, metrics: Metrics) -> None:
-    """Puts a pose into the mailbox or takes an acknowledgement."""
+    """Puts the pose in the message ``payload`` into the mailbox, or counts its acknowledgement."""
     if wire.message_kind(payload) == wire.ACK:
         way_s = session.acknowledge(wire.unpack_ack(payload))
         if way_s is not None and math.isfinite(way_s):
@@ -137,7 +137,7 @@ def _take(payload: bytes, session: StreamSession, metrics: Metrics) -> None:
         return
     if wire.message_kind(payload) == wire.RIG_POSE:
         if session.wearer is None:
-            cure = 'Open with "avatar": ID, or send poses of ours.'
+            cure = 'Open the stream with "avatar": ID, or send POSE messages.'
             raise InputError("rig pose message", expected="a stream on an avatar", got="none", cure=cure)
         pose = unpack_rig_pose(payload, len(session.wearer.nodes))
         check_places(np.zeros((1, 3)) if pose.place is None else pose.place[None])
@@ -160,7 +160,7 @@ async def _send(socket: WebSocket, session: StreamSession, state: State, client:
         if frame is None:
             continue
         try:
-            async with asyncio.timeout(SEND_S):  # which, unlike wait_for, makes no task
+            async with asyncio.timeout(SEND_S):  # wait_for would make a task for each frame
                 await socket.send_bytes(frame)
         except TimeoutError:
             raise TooSlow(
@@ -169,17 +169,17 @@ async def _send(socket: WebSocket, session: StreamSession, state: State, client:
                 got="a full connection",
                 cure="Read faster or ask for fewer frames.",
             ) from None
-        state.runtime.metrics.sent(time.monotonic() - since_s, state.runtime.settings.frame_deadline_s)
+        state.runtime.metrics.count_sent(time.monotonic() - since_s, state.runtime.settings.frame_deadline_s)
         state.streams.wake()
     await state.handover.send_away(socket, session, client, state.streams.tier)
 
 
 async def _watch(session: StreamSession, state: State) -> None:
-    """Raises when the client neither acknowledges nor sends."""
+    """Raises ``TooSlow`` when the client stops acknowledging or sending."""
     idle_s = state.runtime.settings.stream_idle_s
     while True:
         await asyncio.sleep(min(WATCH_S, ACK_S / 4, idle_s / 4))
-        if session.opening:  # what the client sends waits in its connection
+        if session.opening:  # nothing is read meanwhile, so nothing can be heard
             continue
         now = time.monotonic()
         if session.under_way and now - session.under_way[0][1] > ACK_S:
@@ -199,7 +199,8 @@ async def _watch(session: StreamSession, state: State) -> None:
 
 
 async def _refuse(socket: WebSocket, error: DrapeError) -> None:
-    """Says why in full, closes with the code of the error, and cuts the line if the client does not read."""
+    """Sends the whole sentence of ``error``, closes the stream with its code, and aborts the connection if the client
+    does not read."""
     log.info("stream refused: %s", error)
     try:
         async with asyncio.timeout(SEND_S):

@@ -1,4 +1,4 @@
-"""One client's stream: its mailbox for one pose, its credit, and what an opening turns it to."""
+"""The state of one client's stream: its opening, its mailbox for one pose, its credit and its memories."""
 
 from __future__ import annotations
 
@@ -23,18 +23,19 @@ if TYPE_CHECKING:
 
     from drape.avatar.wearer import Wearer
 
-CREDIT = 2  # frames under way
-ACK_S = 3.0  # for an acknowledgement
-SEND_S = 1.0  # for taking a frame, a state or a refusal; then the connection is cut
+CREDIT = 2  # the most frames under way
+ACK_S = 3.0  # the time for an acknowledgement
+SEND_S = 1.0  # the time in which a client must take a frame, a state or a refusal, before the connection is cut
 
 
 @dataclass(frozen=True, eq=False)
 class Opening:
-    """The stream that a client asks for.
+    """The stream that a client asks for: ``plan`` on a body of the shape ``betas`` (S,).
 
-    ``steps``: ``plan`` as each tier holds it, the one that computes least first. ``moves``: the stream can go on at
-    another process. ``same``: the client takes the word that its frame still holds in place of the frame. ``wearer``:
-    the avatar that the stream shows, whose own rig may then send poses; None for our body.
+    ``steps``: the plans that replace ``plan`` when streams step down, the one that computes least first. ``moves``:
+    whether the client can go on at another process. ``same``: whether it takes a SAME message in place of a frame that
+    it shows already. ``wearer``: the avatar that wears the scene, and whose own rig may send poses; None for the
+    standard body.
     """
 
     plan: Plan
@@ -47,7 +48,7 @@ class Opening:
 
 @dataclass(frozen=True, eq=False)
 class Waiting:
-    """A pose, ours or one of the avatar's rig, and the time [s] (monotonic) it came."""
+    """A pose that waits to be draped, of the standard body or of an avatar's rig, and when it came [s, monotonic]."""
 
     pose: wire.Pose | RigPose
     arrived_s: float
@@ -55,14 +56,15 @@ class Waiting:
 
 @dataclass(eq=False)
 class StreamSession:
-    """One client's stream.
+    """The state of one client's stream.
 
-    ``steps``: ``plan`` as each tier holds it, the one that computes least first. ``memories``: what the stages keep of
-    the frames so far. ``generation``: the number of openings; a result that was begun for an earlier one is thrown
-    away. ``dropped``: poses that newer ones replaced; of these ``late`` waited for nothing but a worker. ``moves``: it
-    can go on at another process; while it is ``leaving`` nothing is begun for it here. ``same``: the client takes the
-    word that its frame still holds; ``shown`` is the message of that frame. ``wearer``: the avatar that it shows.
-    ``link`` leads to its request's span.
+    ``plan``, ``betas``, ``steps``, ``moves``, ``same`` and ``wearer`` are those of its last ``Opening``. ``credit``:
+    the most frames under way. ``memories``: what the stages remember of the frames so far. ``generation``: how often it
+    was opened again; results of earlier openings are thrown away. ``shown``: the message of the frame that the client
+    shows. ``leaving``: whether it moves to another process, so that no frame is begun. ``dropped``: the number of poses
+    that newer ones replaced; of these ``late``, since they were last taken, waited only for a worker. ``outbox``: the
+    message to send next. ``failure``: the refusal that ends it. ``news`` is set when there is either. ``link`` leads to
+    the span of its request.
     """
 
     plan: Plan
@@ -84,35 +86,37 @@ class StreamSession:
     outbox_since_s: float = 0.0  # when the pose of the frame in the outbox came
     failure: DrapeError | None = None
     last_heard_s: float = field(default_factory=time.monotonic)
-    opening: bool = False  # another opening is being made ready, and nothing is read meanwhile
-    # Sequence of every frame that was begun and is not acknowledged, and when [s] it was ready; infinity before that.
+    opening: bool = False  # whether another opening is being prepared, while nothing is read
+    # Each frame that was begun and is not acknowledged: its sequence, and when it was ready [s], infinity before that.
     under_way: list[tuple[int, float]] = field(default_factory=list)
     news: asyncio.Event = field(default_factory=asyncio.Event)
 
-    def reopen(self, asked: Opening) -> None:
-        """Turns the session to another plan or shape; what another shape leaves behind is no motion of this one."""
-        same_body = np.array_equal(asked.betas, self.betas)
-        self.memories = carried(self.memories, self.plan, asked.plan) if same_body else {}
-        self.plan, self.betas, self.steps = asked.plan, asked.betas, asked.steps
-        self.moves, self.same, self.wearer = asked.moves, asked.same, asked.wearer
+    def reopen(self, opening: Opening) -> None:
+        """Changes the stream to ``opening``. The memories that its plan can use stay, unless the body has another
+        shape. The waiting pose and frames under way are thrown away."""
+        same_body = np.array_equal(opening.betas, self.betas)
+        self.memories = carried(self.memories, self.plan, opening.plan) if same_body else {}
+        self.plan, self.betas, self.steps = opening.plan, opening.betas, opening.steps
+        self.moves, self.same, self.wearer = opening.moves, opening.same, opening.wearer
         self.generation += 1
         self.last_heard_s = time.monotonic()
         self.waiting, self.outbox, self.shown = None, None, None
         self.under_way.clear()
 
     def put(self, pose: wire.Pose | RigPose) -> None:
-        """Puts a pose into the mailbox; one that waited there is dropped and counted."""
+        """Puts ``pose`` into the mailbox. A pose that waits there is dropped, and counted in ``dropped``."""
         self.last_heard_s = time.monotonic()
         self.late += self.due()
         self.dropped += self.waiting is not None
         self.waiting = Waiting(pose, self.last_heard_s)
 
     def ready(self) -> bool:
-        """Whether a pose waits that may be computed now."""
+        """Returns whether a pose waits that a worker may compute now."""
         return self.due() and not self.computing
 
     def due(self) -> bool:
-        """Whether a pose waits and lacks nothing but a worker, even if one still computes the frame before."""
+        """Returns whether a pose waits, with credit and an empty outbox. A worker may still compute the frame
+        before."""
         free = len(self.under_way) < self.credit and self.outbox is None and not self.leaving
         return self.waiting is not None and free
 
@@ -123,27 +127,29 @@ class StreamSession:
 
     @property
     def settled(self) -> bool:
-        """Whether nothing is computed for it and no frame waits to be sent."""
+        """Whether no frame is being computed or waits to be sent."""
         return self.outbox is None and not self.computing
 
-    def held_to(self, tier: int) -> Plan:
-        """Returns its plan as the step with the index ``tier`` holds it."""
+    def plan_at(self, tier: int) -> Plan:
+        """Returns the plan of the stream while streams are held to the step with the index ``tier`` of ``steps``; its
+        own plan for an index past the last."""
         return self.steps[tier] if tier < len(self.steps) else self.plan
 
     def take(self) -> Waiting:
-        """The waiting pose, now under way."""
+        """Takes the waiting pose out of the mailbox, counts its frame as under way, and returns it."""
         assert self.waiting is not None
-        taken, self.waiting = self.waiting, None
-        self.under_way.append((taken.pose.sequence, math.inf))
-        return taken
+        waiting, self.waiting = self.waiting, None
+        self.under_way.append((waiting.pose.sequence, math.inf))
+        return waiting
 
-    def taken_late(self) -> int:
-        """The number of poses that were late since the last call."""
+    def take_late(self) -> int:
+        """Returns the number of late poses since the last call, and counts from 0 again."""
         late, self.late = self.late, 0
         return late
 
     def acknowledge(self, sequence: int) -> float | None:
-        """Gives one credit back; how long [s] the frame was on its way, None for one of an earlier opening."""
+        """Counts the frame ``sequence`` as no longer under way. Returns the time [s] since it was ready, -inf if it is
+        not ready yet; None for a frame of an earlier opening. Refuses (``InputError``) a sequence that was not sent."""
         self.last_heard_s = time.monotonic()
         for index, (sent, ready_s) in enumerate(self.under_way):
             if sent == sequence:
@@ -161,17 +167,18 @@ class StreamSession:
     def deliver(
         self, generation: int, result: bytes | DrapeError, memories: Memories, since_s: float | None = None
     ) -> None:
-        """Hands a frame, or the reason that there is none, to the sender, and keeps what the frame leaves behind.
+        """Puts the message ``result`` of a frame into the outbox, or its refusal into ``failure``, and keeps
+        ``memories`` for the next frame. A result of an earlier ``generation`` is thrown away.
 
-        ``since_s``: when [s] (monotonic) its pose came.
+        ``since_s``: when the pose of the frame came [s, monotonic], now by default.
         """
         if generation != self.generation:
             return
         self.memories = memories
         now = time.monotonic()
         if isinstance(result, bytes) and wire.message_kind(result) == wire.SAME:
-            # It fills no buffer, so nobody says that it was taken.
-            self.under_way = [one for one in self.under_way if math.isfinite(one[1])]
+            # A SAME message fills no buffer, so clients do not acknowledge it.
+            self.under_way = [frame for frame in self.under_way if math.isfinite(frame[1])]
         self.under_way = [(sequence, min(ready_s, now)) for sequence, ready_s in self.under_way]
         if isinstance(result, DrapeError):
             self.failure = result

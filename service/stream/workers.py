@@ -1,13 +1,12 @@
-"""The workers that serve streams, and how far these step down while poses come faster than they can be draped.
+"""The workers that compute frames of streams, and how streams step down while poses come faster than frames.
 
-A session (``service.stream.session``) is served as soon as a worker is free, the frame before is through and the client
-has credit: frames that wait in a kernel buffer only grow old. There is no timer.
+A session (``service.stream.session``) is served as soon as a worker is free, the frame before is computed and the
+client has credit, because frames that wait in a kernel buffer only grow old. There is no timer.
 
-A pose is late if a newer one replaced it while only the worker was in the way. Streams step down as soon as a share of
-the poses was late: by one tier, or by as many as it takes to spare that share. They come up again after a while without
-late poses, if what the next step takes leaves room, and after twice as long if the last try failed. Nothing is ever
-computed that was not asked for (``drape.stages.tiers.capped``). Below the least tier there is what that can spare
-(``drape.stages.tiers.spared``), and below that its folds are carried along.
+A pose is late if a newer one replaced it while it waited only for a worker. Where more than ``LATE_SHARE`` of the poses
+are late, all streams step down: by one step, or by as many as save that share of the time. They step up again after a
+while without late poses, if the next step leaves enough time, and after twice as long if the last try failed. No stream
+ever gets more than its client asked for (``drape.stages.tiers.capped``). ``Runtime.steps`` says what the steps are.
 """
 
 from __future__ import annotations
@@ -33,16 +32,16 @@ if TYPE_CHECKING:
     from service.compute.threads import SlicedThread
     from service.stream.session import StreamSession, Waiting
 
-WINDOW_S = 0.5  # over which poses are counted
-LATE_SHARE = 0.05  # of them that step down
-SPARED = 0.125  # of a frame's time by one step, about: 7 to 23 % (docs/reference/performance.md)
-CALM_S, CALM_LIMIT_S = 2.0, 64.0  # without late poses before a step up, at first and at most
-ROOM = 0.8  # of the time that the worker may be busy after a step up
-GUESS = 1.5  # times what a frame takes now, where the next tier has not been measured yet
+WINDOW_S = 0.5  # the time over which poses are counted
+LATE_SHARE = 0.05  # the share of late poses above which streams step down
+SPARED = 0.125  # the share of a frame's time that one step saves, about: 7 to 23 % (docs/reference/performance.md)
+CALM_S, CALM_LIMIT_S = 2.0, 64.0  # the time without late poses before a step up, at first and at most
+ROOM = 0.8  # the share of the time that workers may be busy after a step up
+GUESS = 1.5  # how much longer a frame is expected to take one step up, before that is measured
 
 
 class Streams:
-    """All sessions, and the workers that compute their frames: as many as ``DrapeRuntime`` has threads for streams."""
+    """All streams of a service, and the workers that compute their frames: one for each thread for streams."""
 
     def __init__(self, runtime: DrapeRuntime, sliced_thread: SlicedThread) -> None:
         self._runtime, self._sliced_thread = runtime, sliced_thread
@@ -54,8 +53,8 @@ class Streams:
 
     @property
     def tier(self) -> int:
-        """The index in ``DrapeRuntime.steps`` of the step that streams are held to; one past the last while nothing
-        holds them."""
+        """The index in ``Runtime.steps`` of the step that streams are held to; one past the last while each gets the
+        plan that it asked for."""
         steps = self._step_down
         return steps.level if self._runtime.settings.stream_step_down else steps.top
 
@@ -70,7 +69,7 @@ class Streams:
 
     @property
     def runs(self) -> bool:
-        """Whether frames are being computed when poses come."""
+        """Whether all workers run."""
         return bool(self._workers) and not any(worker.done() for worker in self._workers)
 
     def start(self) -> None:
@@ -82,7 +81,7 @@ class Streams:
         await asyncio.gather(*self._workers, return_exceptions=True)
 
     def check_place(self) -> None:
-        """Refuses when every place is taken."""
+        """Refuses (``Busy``) another stream where there are ``stream_sessions``."""
         limit = self._runtime.settings.stream_sessions
         if len(self._sessions) >= limit:
             raise Busy(
@@ -93,7 +92,7 @@ class Streams:
             )
 
     def end_wearing(self, entry: Entry) -> None:
-        """Ends (4404) every stream that wears ``entry``, which was deleted."""
+        """Ends every stream whose scene has the deleted garment ``entry``, with ``NotFound`` (close code 4404)."""
         got = f"{entry.id}, which was deleted"
         reason = NotFound("garment", expected="one in service", got=got, cure="Open another.")
         for session in self._sessions:
@@ -102,7 +101,8 @@ class Streams:
                 session.news.set()
 
     def move(self, reason: DrapeError) -> None:
-        """Lets every stream that ``moves`` send what is computed and go; ends the others with ``reason``."""
+        """Makes every stream that ``moves`` go on at another process, once its computed frame is sent. Ends the others
+        with ``reason``."""
         for session in self._sessions:
             if session.moves:
                 session.leaving = True
@@ -111,14 +111,14 @@ class Streams:
             session.news.set()
 
     def release(self, count: int) -> None:
-        """Lets ``count`` of the streams that ``moves`` go on at another process, or all of these if there are fewer."""
-        for session in [one for one in self._sessions if one.moves and not one.leaving][:count]:
+        """Makes ``count`` of the streams that ``moves`` go on at another process, or all if there are fewer."""
+        for session in [session for session in self._sessions if session.moves and not session.leaving][:count]:
             session.leaving = True
             session.news.set()
 
     def add(self, session: StreamSession, tier: int | None = None) -> None:
-        """Takes ``session`` in. If it is the only one, streams are held to ``tier``, as they were where it comes
-        from."""
+        """Adds ``session``. If it is the only one and has moved here, streams are held to ``tier``, as in the process
+        that it comes from. Refuses as ``check_place`` does."""
         self.check_place()
         if tier is not None and not self._sessions:
             self._step_down.hold(tier, time.monotonic())
@@ -128,7 +128,7 @@ class Streams:
         self._sessions.discard(session)
 
     def wake(self) -> None:
-        """Says that a session may have become ready."""
+        """Wakes a worker, since a session may have become ready."""
         self._wake.set()
 
     async def _work(self) -> None:
@@ -139,35 +139,36 @@ class Streams:
                 await self._compute(batch)
 
     def _next_batch(self) -> list[StreamSession]:
-        """The session that has waited longest, with its share of the others that wait under the same plan: a batch
-        leaves when its last frame is through, and each takes hardly less than alone (0.86 to 0.97 of the time)."""
+        """Returns the session that has waited longest, with others that wait under an equal plan, so that each worker
+        gets as many; empty if none is ready. More would be later: a batch ends with its last frame, and a frame takes
+        hardly less than alone (0.86 to 0.97 of the time)."""
         ready = sorted(
             (s for s in self._sessions if s.ready()), key=lambda s: s.waiting.arrived_s if s.waiting else 0.0
         )
-        same = [s for s in ready if s.held_to(self.tier) == ready[0].held_to(self.tier)]
+        same = [s for s in ready if s.plan_at(self.tier) == ready[0].plan_at(self.tier)]
         share = -(-len(same) // self._count)
         return same[: min(share, self._runtime.settings.chunk_frames)]
 
     async def _compute(self, batch: Sequence[StreamSession]) -> None:
-        plan = batch[0].held_to(self.tier)
+        plan = batch[0].plan_at(self.tier)
         generations = [session.generation for session in batch]
         inputs = [_pose_input(session, session.take()) for session in batch]
         if any(session.ready() for session in self._sessions):
-            self._wake.set()  # for another worker, which may not have waited when it was told
-        with self._sliced_thread.held(), self._span(plan, batch):
+            self._wake.set()  # another worker may have missed the last wake
+        with self._sliced_thread.hold_back(), self._span(plan, batch):
             start_s = time.monotonic()
             results = await self._runtime.stream_frames(plan, inputs)
             now_s = time.monotonic()
-        late = sum(session.taken_late() for session in batch)
-        # Workers that sessions can keep busy share the time that there is.
+        late = sum(session.take_late() for session in batch)
+        # With fewer sessions than workers some workers stay idle, so time is counted for those that can be busy.
         workers = max(1, min(self._count, len(self._sessions)))
         self._step_down.note(now_s, frames=len(batch), late=late, busy_s=(now_s - start_s) / workers)
         self._runtime.metrics.batch_frames.observe(len(batch))
-        for session, generation, one, (result, memories) in zip(batch, generations, inputs, results, strict=True):
-            session.deliver(generation, result, memories, one.arrived_s)
+        for session, generation, pose, (result, memories) in zip(batch, generations, inputs, results, strict=True):
+            session.deliver(generation, result, memories, pose.arrived_s)
 
     def _span(self, plan: Plan, batch: Sequence[StreamSession]) -> AbstractContextManager[None]:
-        """The span of the frames of ``batch``, where somebody asked for spans."""
+        """Returns the span of the frames of ``batch``; a context that does nothing without tracing."""
         tracing = self._runtime.tracing
         if not tracing.on:
             return nullcontext()
@@ -178,7 +179,7 @@ class Streams:
 def _pose_input(session: StreamSession, waiting: Waiting) -> PoseInput:
     pose = waiting.pose
     if isinstance(pose, RigPose):
-        assert session.wearer is not None  # another opening throws away what waits
+        assert session.wearer is not None  # another opening throws the waiting pose away
         poses, trans = session.wearer.from_rig(pose.quaternions[None], None if pose.place is None else pose.place[None])
     else:
         poses, trans = pose.pose[None], pose.trans[None]
@@ -196,12 +197,12 @@ def _pose_input(session: StreamSession, waiting: Waiting) -> PoseInput:
 
 
 class StepDown:
-    """Decides to which step streams are held. ``level``: the index of the highest one that they get, equal to ``top``
-    while nothing holds them. Times are seconds of one monotonic clock."""
+    """Decides which step streams are held to. ``level`` is its index in ``Runtime.steps``; it is ``top``, one past the
+    last, while streams are not held. Times are seconds of one monotonic clock."""
 
     def __init__(self, top: int, now_s: float) -> None:
         self.top = self.level = top
-        self._frame_s: dict[int, float] = {}  # what a frame took, by level
+        self._frame_s: dict[int, float] = {}  # the mean time of a frame, by level
         self._calm_s = CALM_S
         self._raised_s = -math.inf
         self._quiet_since_s = now_s
@@ -211,14 +212,15 @@ class StepDown:
         self._start_s, self._frames, self._late, self._busy_s = now_s, 0, 0, 0.0
 
     def hold(self, level: int, now_s: float) -> None:
-        """Goes down to ``level`` at ``now_s``."""
+        """Goes down to ``level`` at ``now_s`` [s], unless it is that low already."""
         if level < self.level:
             self.level = level
             self._quiet_since_s = now_s
             self._begin(now_s)
 
     def note(self, now_s: float, *, frames: int, late: int, busy_s: float) -> None:
-        """Counts ``frames`` that were draped in ``busy_s``, and poses that came too ``late`` since the last call."""
+        """Counts ``frames`` that took ``busy_s`` [s] of a worker, and ``late`` poses since the last call. Once in
+        ``WINDOW_S`` changes the level if the counts ask for it."""
         self._frames += frames
         self._late += late
         self._busy_s += busy_s

@@ -1,7 +1,8 @@
-"""Uploads that were accepted outlive the process: each is a folder with its file and ``job.json``, both on disk.
+"""Accepted uploads on disk, which outlive the process: each is a folder with its file and ``job.json``.
 
-The folder lies in the staging folder of the process that has it, which is named by its host and number; others take
-over those of ended ones. A process on another host counts as ended when it has been silent for ``SILENT_S``.
+The folder lies in the staging folder of the service that has the upload. That is named by host and process id, so that
+other services can take over uploads of a process that has ended. One on another host counts as ended when it has not
+touched its folder for ``SILENT_S``.
 """
 
 from __future__ import annotations
@@ -24,15 +25,13 @@ from service.compute.json_records import read_record
 Kind = Literal["garment", "avatar"]
 ABOUT = "job.json"
 STAGING = ".staging-"
-CANCEL = "cancel"  # in an upload's folder: another service was asked to end it
+CANCEL = "cancel"  # a file in an upload's folder by which another service asks to cancel it
 SILENT_S = 120.0
-
-
-_OWN: set[str] = set()  # names of staging folders of services in this process
+_OWN: set[str] = set()  # the names of the staging folders of services in this process
 
 
 def staging_folder(root: Path) -> Path:
-    """A new place under ``root`` for the uploads of a service in this process."""
+    """Returns a new path under ``root`` for the staging folder of a service in this process. It does not exist yet."""
     folder = root / f"{STAGING}{uuid.uuid4().hex[:8]}-{_host()}-{os.getpid()}"
     _OWN.add(folder.name)
     return folder
@@ -44,10 +43,12 @@ def _host() -> str:
 
 @dataclass(frozen=True)
 class Accepted:
-    """An accepted upload: its job's id and name, its key, its file's name, its avatar, how often it ran, what ``kind``
-    of thing it is, "garment" or "avatar", and which avatar it replaces.
+    """The record of an accepted upload: its job's id and name, the key that sent it (``owner``), the name of its
+    ``file``, and how often its intake was begun (``attempts``).
 
-    ``avatar``: of a garment, what it was modelled on; of an avatar, the joints that were told, as JSON.
+    ``avatar``, of a garment: the body that it was modelled on, None where the intake shall find it; of an avatar: the
+    joints and parts that a client named and whether its clothes become garments, as JSON, None if nothing was said.
+    ``replaces``: the id of the avatar that it corrects.
     """
 
     id: str
@@ -60,7 +61,7 @@ class Accepted:
     replaces: str | None = None
 
     def write(self, folder: Path) -> None:
-        """Puts it into ``folder``, on disk when this returns."""
+        """Writes the record to ``folder``. It is on disk when this returns."""
         fresh = folder / f"{ABOUT}.new"
         fresh.write_text(json.dumps(asdict(self)), encoding="utf-8")
         sync(fresh)
@@ -68,15 +69,15 @@ class Accepted:
         sync(folder)
         sync(folder.parent)
 
-    def tried(self, folder: Path) -> Accepted:
-        """Returns the same upload with one attempt more, after writing it to ``folder``."""
+    def add_attempt(self, folder: Path) -> Accepted:
+        """Adds one to ``attempts``, writes the record to ``folder`` and returns it."""
         again = replace(self, attempts=self.attempts + 1)
         again.write(folder)
         return again
 
 
 def sync(path: Path) -> None:
-    """Returns when the file or folder ``path`` is on disk."""
+    """Writes the file or folder ``path`` from the system's buffers to the disk (fsync)."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -84,19 +85,19 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def taken_over(root: Path, own: Path, *, shared: bool = False) -> Iterator[tuple[Accepted, Path]]:
-    """The uploads that ended processes left under ``root``, now in the staging folder ``own``, the oldest first; what
-    else they left is removed.
+def take_over(root: Path, own: Path, *, shared: bool = False) -> Iterator[tuple[Accepted, Path]]:
+    """Moves the uploads of ended processes under ``root`` to the staging folder ``own``, and deletes their other files.
+    Yields each upload and its new folder, the oldest first.
 
-    ``shared``: services on other hosts have the folder too, and say every few seconds that they run (``touch``).
+    ``shared``: services on other hosts use ``root`` too, and call ``touch`` every few seconds while they run.
     """
     ended = [staging for staging in sorted(root.glob(f"{STAGING}*")) if staging != own and _ended(staging, shared)]
-    left: list[tuple[float, Accepted, Path]] = []
+    uploads: list[tuple[float, Accepted, Path]] = []
     for folder in sorted(path for staging in ended for path in staging.glob("*/")):
-        accepted = read(folder)
+        accepted = read_accepted(folder)
         if accepted is not None:
-            left.append(((folder / accepted.file).stat().st_mtime, accepted, folder))
-    for _, accepted, folder in sorted(left, key=lambda one: one[0]):
+            uploads.append(((folder / accepted.file).stat().st_mtime, accepted, folder))
+    for _, accepted, folder in sorted(uploads, key=lambda upload: upload[0]):
         home = own / accepted.id
         own.mkdir(exist_ok=True)
         try:
@@ -110,26 +111,27 @@ def taken_over(root: Path, own: Path, *, shared: bool = False) -> Iterator[tuple
 
 
 def touch(own: Path) -> None:
-    """Gives the staging folder ``own`` the time of now, which tells other services that its process still runs."""
+    """Sets the time of the staging folder ``own`` to now, by which other services see that this one still runs."""
     if own.is_dir():
         os.utime(own)
 
 
-def elsewhere(root: Path, own: Path, job_id: str) -> tuple[Accepted, Path] | None:
-    """Returns the upload ``job_id`` and its folder, if it waits or runs in another service under ``root``; otherwise
-    None."""
+def find_elsewhere(root: Path, own: Path, job_id: str) -> tuple[Accepted, Path] | None:
+    """Returns the upload ``job_id`` and its folder if it waits or runs in another service that uses ``root``; otherwise
+    None. ``own`` is the staging folder of this service."""
     for folder in root.glob(f"{STAGING}*/{job_id}"):
-        accepted = None if folder.parent == own else read(folder)
+        accepted = None if folder.parent == own else read_accepted(folder)
         if accepted is not None:
             return accepted, folder
     return None
 
 
-def read(folder: Path) -> Accepted | None:
-    """The upload that was accepted in ``folder``, if one was."""
+def read_accepted(folder: Path) -> Accepted | None:
+    """Returns the record in ``folder``; None if there is none, or if it does not fit the folder or its file is
+    missing."""
     accepted = read_record(Accepted, folder / ABOUT)
-    known = accepted is not None and folder.name == accepted.id and (folder / accepted.file).is_file()
-    return accepted if known else None
+    complete = accepted is not None and folder.name == accepted.id and (folder / accepted.file).is_file()
+    return accepted if complete else None
 
 
 def _ended(staging: Path, shared: bool) -> bool:
@@ -137,8 +139,9 @@ def _ended(staging: Path, shared: bool) -> bool:
         return False
     before, _, pid = staging.name.removeprefix(STAGING).rpartition("-")
     host = before.rpartition("-")[2]
-    if host in ("", _host()):  # without one: of an earlier version
-        return pid == str(os.getpid()) or not _is_running(pid)  # mine: in a container numbers come again
+    if host in ("", _host()):  # earlier versions wrote no host
+        # A folder with this process's id that is not in _OWN is of an earlier process: containers reuse ids.
+        return pid == str(os.getpid()) or not _is_running(pid)
     try:
         return not shared or time.time() - staging.stat().st_mtime > SILENT_S
     except FileNotFoundError:

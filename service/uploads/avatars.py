@@ -1,4 +1,5 @@
-"""Which avatar an upload was modelled on: what the client says, or the rule of avatars.json for its name."""
+"""Finds the body that an upload was modelled on: the one that the client names, or that of avatars.json for its
+name."""
 
 from __future__ import annotations
 
@@ -16,16 +17,17 @@ EXAMPLE = 'Send for example {"gender": 1.0, "age": 0.667}'
 
 
 def upload_avatar(meaning: str | None, name: str, garments_dir: Path) -> str | None:
-    """Returns the avatar for the intake as text; None if the intake shall find the wearer.
+    """Returns the body of a garment called ``name`` as text for the intake: JSON, ``standard``, or the path of a mesh
+    that a table names. None if the intake shall find the body from the cloth.
 
-    ``meaning`` is a phenotype or SMPL parameters as JSON, ``standard``, or a name of a table. A path is refused, for it
-    would name a file of this machine. Without one, the longest entry with which ``name`` begins counts. Tables:
-    avatars.json in the folder of uploads, in DRAPE_DATA/garments, and the shipped one.
+    ``meaning`` is a phenotype or SMPL parameters as JSON, ``standard``, or an entry of a table. Where it is None, the
+    longest entry that ``name`` begins with counts. Tables are avatars.json in ``garments_dir``, in DRAPE_DATA/garments,
+    and the shipped one. Refuses (``NotFound``) anything else, so no client can name a path of this machine.
     """
     folders = [folder for folder in (garments_dir, data_folder("garments"), SHIPPED_FOLDER) if folder is not None]
     if meaning is None:
-        found = entry_for(name, folders)
-        return None if found is None else _as_text(found[1], found[2])
+        entry = entry_for(name, folders)
+        return None if entry is None else _as_text(entry[1], entry[2])
     text = meaning.strip()
     if text == STANDARD:
         return text
@@ -48,14 +50,15 @@ def upload_avatar(meaning: str | None, name: str, garments_dir: Path) -> str | N
 def _check_object(text: str) -> None:
     try:
         fits = isinstance(json.loads(text), dict)
-    except (ValueError, RecursionError):  # not only JSONDecodeError: numbers may have too many digits
+    except (ValueError, RecursionError):  # ValueError also for numbers with too many digits
         fits = False
     if not fits:
         raise BodyError("avatar", expected="a JSON object", got=text[:60], cure=f"{EXAMPLE}.")
 
 
 def _as_text(entry: dict[str, Any] | str, folder: Path) -> str:
-    """A table's entry as an argument; a mesh in it is relative to the table, which is the operator's."""
+    """Returns an entry of the table in ``folder`` as text. The path of a mesh is relative to that folder, which belongs
+    to the operator."""
     if isinstance(entry, dict):
         return json.dumps(entry)
     return entry if entry == STANDARD or entry.startswith("{") else str(folder / entry)

@@ -1,4 +1,4 @@
-"""The intake of a stranger's file in a limited process of its own (``service.uploads.sandbox``), and what it says."""
+"""Runs the intake of a stranger's file in a process of its own with limits (``service.uploads.sandbox``)."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from drape.errors import ArtifactError, DrapeError, InputError, TooLarge
-from service.compute.processes import Process, ended, running
-from service.errors import TABLE
+from drape.errors import InputError, TooLarge
+from service.compute.processes import Process, run_process, wait_for_end
+from service.errors import spoken_error
 from service.settings import Settings
 from service.uploads.accepted import Kind
 from service.uploads.sandbox import THINGS
@@ -20,7 +20,8 @@ SHARES: dict[str, dict[str, float]] = {
     "garment": {"start": 0.12, "read": 0.16, "rest": 0.28, "fit": 0.36, "cloth": 0.01, "store": 0.04, "prepare": 0.03},
     "avatar": {"start": 0.1, "read": 0.01, "map": 0.04, "fit": 0.45, "cloth": 0.33, "store": 0.05, "prepare": 0.02},
 }
-"""Stages of an upload, those of the intake between a process's start and the garment's constants, and their shares."""
+"""The stages of an upload by its kind, and the share of the usual time that each takes. "start" is the start of the
+process, "prepare" makes the garment's constants, and those between are stages of the intake."""
 
 
 async def run_sandbox(
@@ -28,43 +29,42 @@ async def run_sandbox(
     avatar: str | None,
     out: Path,
     settings: Settings,
-    begun: Callable[[str], None] = lambda stage: None,
+    begin_stage: Callable[[str], None] = lambda stage: None,
     *,
     kind: Kind | Literal["motion"] = "garment",
     waiting: Process | None = None,
 ) -> dict[str, Any]:
-    """The report of the intake process; raises its refusal, or one for the limit that it ran into.
+    """Runs the intake of ``file``, which writes files to ``out``, and returns the report that it prints as its last
+    line (``service.uploads.sandbox``). Raises its refusal, or ``TooLarge`` for a limit of time or memory.
 
-    ``avatar``: of a garment, what it was modelled on; of an avatar, its joints and parts and whether its clothes are
-    alive, as JSON; of a motion, which clip.
-
-    ``begun`` is called with each stage as the process begins it; ``waiting``, a spare process (``uploads.spare``),
-    takes the file in.
+    ``avatar`` is, for a garment, the body that it was modelled on; for an avatar, its joints and parts and whether its
+    clothes become garments, as JSON; for a motion, the name of the clip. ``begin_stage`` is called with the name of
+    each stage when it begins. ``waiting`` is a spare process (``uploads.spare``) that does the work.
     """
     thing = THINGS[kind]
     command = [str(file), "--out", str(out), "--body", settings.body, "--kind", kind]
     command += ["--memory-mb", str(settings.intake_memory_mb), "--cpu-s", str(settings.intake_cpu_s)]
     label = f"upload {file.name}"
-    child = running(
+    child = run_process(
         "intake",
         "service.uploads.sandbox",
         *command,
-        # A command line takes no avatar above 128 KiB, and anybody may read it.
+        # A command line takes at most 128 KiB, and every user of the machine may read it.
         write=lambda stdin: stdin.write((avatar or "").encode()),
         folder=file.parent,
         quiet=True,
         waiting=waiting,
     )
     try:
-        async with child as (process, said), asyncio.timeout(settings.intake_wall_s):
-            report = await _report(said, begun, SHARES.get(kind, {}))
-            await ended(process)
+        async with child as (process, lines), asyncio.timeout(settings.intake_wall_s):
+            report = await _report(lines, begin_stage, SHARES.get(kind, {}))
+            await wait_for_end(process)
     except TimeoutError:
         raise TooLarge(
             label, expected=f"an intake within {settings.intake_wall_s:g} s", got="no end by then", cure=thing.smaller
         ) from None
     if report is not None and "problem" in report:
-        raise _refusal(report["problem"])
+        raise spoken_error(report["problem"], InputError)
     if report is not None and "files" in report:
         return report
     if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
@@ -83,29 +83,21 @@ async def run_sandbox(
 
 
 async def _report(
-    said: asyncio.StreamReader, begun: Callable[[str], None], stages: Mapping[str, float]
+    lines: asyncio.StreamReader, begin_stage: Callable[[str], None], stages: Mapping[str, float]
 ) -> dict[str, Any] | None:
-    """The last line of JSON that was ``said``; stages before it are told to ``begun``."""
+    """Returns the last of ``lines`` as JSON, None if it is no JSON object. Calls ``begin_stage`` with each stage that a
+    line names."""
     last: dict[str, Any] | None = None
-    async for line in said:
+    async for line in lines:
         last = _document(line)
         if last is not None and last.get("stage") in stages:
-            begun(last["stage"])
+            begin_stage(last["stage"])
     return last
 
 
 def _document(line: bytes) -> dict[str, Any] | None:
     try:
-        found = json.loads(line)
+        document = json.loads(line)
     except ValueError:
         return None
-    return found if isinstance(found, dict) else None
-
-
-_KINDS: dict[str, type[DrapeError]] = {kind.__name__: kind for kind in (*TABLE, ArtifactError)}
-
-
-def _refusal(said: dict[str, str]) -> DrapeError:
-    """The error that the intake process put in words."""
-    kind = _KINDS.get(said["kind"], InputError)
-    return kind(said["name"], expected=said["expected"], got=said["got"], cure=said["cure"])
+    return document if isinstance(document, dict) else None

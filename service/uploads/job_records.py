@@ -1,4 +1,4 @@
-"""Records of ended uploads, a file for each: for clients that ask later, and for services that share the folder."""
+"""Records of ended uploads on disk, a file for each, which clients ask for later and services of one folder share."""
 
 from __future__ import annotations
 
@@ -18,8 +18,12 @@ Outcome = Literal["done", "failed", "cancelled"]
 
 @dataclass(frozen=True)
 class JobRecord:
-    """An upload that has ended: its outermost garment's or its avatar's id, or the problem that ended it; all its
-    ``garments``, the innermost first, and the ``wearer`` that was found in them."""
+    """An upload that has ended: the fields of its ``JobInfo``.
+
+    ``garment`` is the id of the outermost garment, ``garments`` has all of them, the innermost first. ``avatar`` is the
+    id of an uploaded character. ``problem`` is the problem document of a failed one. ``wearer`` is the body that the
+    intake found from the cloth, as in a garment's manifest.
+    """
 
     id: str
     name: str
@@ -33,7 +37,7 @@ class JobRecord:
     wearer: dict[str, Any] | None = None
 
     def write(self, root: Path) -> None:
-        """Stores it under ``root``; of more than ``KEPT`` the oldest are removed."""
+        """Writes the record under ``root``, and deletes the oldest records beyond ``KEPT``."""
         folder = root / FOLDER
         folder.mkdir(exist_ok=True)
         replace_text(_path(root, self.id), json.dumps(asdict(self)))
@@ -48,12 +52,12 @@ class JobRecord:
 
 
 def read_job_record(root: Path, job_id: str) -> JobRecord | None:
-    """The record of the upload ``job_id`` under ``root``, if there is one."""
+    """Returns the record of the upload ``job_id`` under ``root``; None if there is none."""
     return json_records.read_record(JobRecord, _path(root, job_id))
 
 
 def remove_record(root: Path, job_id: str) -> None:
-    """Forgets the upload ``job_id``."""
+    """Deletes the record of the upload ``job_id`` under ``root``, if there is one."""
     _path(root, job_id).unlink(missing_ok=True)
 
 

@@ -1,4 +1,4 @@
-"""Uploads: a file waits, goes through the intake in a limited process, and becomes a garment or a refusal."""
+"""Uploads: a file waits, goes through the intake in a process with limits, and becomes a garment or a refusal."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from service.compute.garment_files import OWNED, file_sizes, folder_of
 from service.compute.garments import slug
 from service.guard.key_file import ANYONE, Client
 from service.uploads import job_records
-from service.uploads.accepted import CANCEL, Accepted, Kind, elsewhere, staging_folder, sync, taken_over, touch
+from service.uploads.accepted import CANCEL, Accepted, Kind, find_elsewhere, staging_folder, sync, take_over, touch
 from service.uploads.intake_process import SHARES, run_sandbox
 from service.uploads.job_records import JobRecord
 from service.uploads.spare import Spare
@@ -34,31 +34,31 @@ if TYPE_CHECKING:
     from service.compute.threads import SlicedThread
     from service.guard.access import Access
 
-MOST_ATTEMPTS = 3  # of one upload, where the service ends while it runs
+MOST_ATTEMPTS = 3  # the most starts of the service that begin one upload
 log = logging.getLogger("drape.service")
 
 
 @dataclass(eq=False)
 class Job:
-    """One upload and how far it is."""
+    """An upload and its state. Fields that do not apply to the state are None or empty."""
 
     id: str
     name: str
     owner: str | None = None
     state: Literal["queued", "running", "done", "failed", "cancelled"] = "queued"
     kind: Kind = "garment"
-    notes: tuple[str, ...] = ()  # what whoever sent it should know, where it is done
-    results: tuple[str, ...] = ()  # where it is done the ids of the garments, the innermost first, or of the avatar
-    wearer: dict[str, Any] | None = None  # that was found in the cloth
-    problem: dict[str, Any] | None = None
-    stage: str | None = None  # of SHARES, while it runs
-    link: Link | None = None  # to the request that it came with
+    notes: tuple[str, ...] = ()  # sentences for the client about a file that is done
+    results: tuple[str, ...] = ()  # the ids of the garments, the innermost first, or that of the avatar
+    wearer: dict[str, Any] | None = None  # the body that the intake found from the cloth
+    problem: dict[str, Any] | None = None  # the problem document of a failed one
+    stage: str | None = None  # the name in SHARES of what runs now
+    link: Link | None = None  # a link to the span of its request
     work: asyncio.Task[tuple[str, ...]] | None = None
-    folder: Path | None = None  # where it lies in another service
+    folder: Path | None = None  # the folder of an upload that another service has
 
     @property
     def share(self) -> float:
-        """The share of the work that is done, by the times of the stages for usual garments."""
+        """The share of the work that is done, 0 to 1, by the usual times of the stages."""
         if self.state == "done":
             return 1.0
         shares = SHARES[self.kind]
@@ -67,21 +67,22 @@ class Job:
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more happens to it."""
+        """Whether it is done, failed or cancelled."""
         return self.state not in ("queued", "running")
 
 
-WARNING = "warning: "  # begins those notes of an intake that whoever sent the file should know
+WARNING = "warning: "  # notes of an intake that the client should read begin with it
 
 
 def warnings_of(notes: Iterable[str]) -> tuple[str, ...]:
-    """The warnings among the ``notes`` of an intake, without the word."""
+    """Returns the ``notes`` of an intake that begin with ``WARNING``, without it."""
     return tuple(note.removeprefix(WARNING) for note in notes if note.startswith(WARNING))
 
 
 class Uploads:
-    """A queue with ``DRAPE_INTAKE_WORKERS`` workers; files lie in a staging folder of this process until they are
-    garments. Uploads to other services that have the same folder are known too."""
+    """The uploads of a service: a queue, and ``DRAPE_INTAKE_WORKERS`` workers. Files lie in the folder ``staging``
+    until they are garments or avatars. Uploads to other services with the same folder of garments can be asked for
+    too."""
 
     def __init__(self, runtime: DrapeRuntime, sliced_thread: SlicedThread, access: Access) -> None:
         self._access = access
@@ -96,42 +97,37 @@ class Uploads:
         self._spare = Spare(lambda: not self.waiting)
 
     def start(self) -> None:
-        """Goes on with what ended processes had accepted, clears what else they left, and starts the workers."""
-        self._go_on(self._taken_over())
+        """Takes over the uploads of ended processes and starts the workers."""
+        self._queue_all(self._take_over())
         self._spare.start()
-        self._workers = [
-            asyncio.create_task(self._work(), name=f"uploads {number}")
-            for number in range(self._settings.intake_workers)
-        ]
+        for number in range(self._settings.intake_workers):
+            self._workers.append(asyncio.create_task(self._work(), name=f"uploads {number}"))
 
-    def _taken_over(self) -> list[tuple[Accepted, Path]]:
+    def _take_over(self) -> list[tuple[Accepted, Path]]:
         shared = self._settings.garments_look_s > 0.0
-        return list(taken_over(self._root, self.staging, shared=shared))
+        return list(take_over(self._root, self.staging, shared=shared))
 
-    def _go_on(self, uploads: Iterable[tuple[Accepted, Path]]) -> None:
+    def _queue_all(self, uploads: Iterable[tuple[Accepted, Path]]) -> None:
         for accepted, folder in uploads:
             job = self._jobs[accepted.id] = Job(accepted.id, accepted.name, accepted.owner, kind=accepted.kind)
             self._queue.put_nowait((job, folder, accepted))
 
     async def follow(self) -> None:
-        """Plays its part among services that share the folder.
-
-        It says that this one runs, ends uploads that others were asked to cancel, and goes on with uploads that ended
-        services had accepted.
-        """
+        """Marks the staging folder as that of a running service, cancels uploads that clients cancelled at other
+        services, and takes over uploads of services that have ended."""
         touch(self.staging)
         for job in [job for job in self._jobs.values() if not job.ended]:
             if (self.staging / job.id / CANCEL).exists():
                 await self.cancel(job)
         if self._begin.is_set():
-            self._go_on(await asyncio.to_thread(self._taken_over))
+            self._queue_all(await asyncio.to_thread(self._take_over))
 
     def pause(self) -> None:
-        """Begins no further upload: the next start of the service goes on with them."""
+        """Lets no worker begin another upload. The next start of the service goes on with them."""
         self._begin.clear()
 
     async def stop(self) -> None:
-        """Ends the workers and their processes; what was accepted stays for the next start, nothing else."""
+        """Ends the workers and their processes. Accepted uploads stay on disk for the next start."""
         self._spare.stop()
         for worker in self._workers:
             worker.cancel()
@@ -141,16 +137,17 @@ class Uploads:
 
     @property
     def waiting(self) -> int:
-        """Uploads that wait or run."""
+        """The number of uploads that wait or run."""
         return sum(not job.ended for job in list(self._jobs.values()))
 
     @property
     def runs(self) -> bool:
-        """Whether all workers take uploads in."""
+        """Whether all workers run."""
         return bool(self._workers) and not any(worker.done() for worker in self._workers)
 
     def get(self, job_id: str, viewer: str | None = None) -> Job:
-        """The upload ``job_id``; refuses an unknown one, and one of another key than ``viewer``."""
+        """Returns the upload ``job_id``. Refuses (``NotFound``) an unknown one, and one of another key than
+        ``viewer``."""
         job = self._jobs.get(job_id) or (self._elsewhere(job_id) if re.fullmatch("[0-9a-f]{12}", job_id) else None)
         if job is None or job.owner != viewer:
             cure = "Upload the file again."
@@ -158,30 +155,28 @@ class Uploads:
         return job
 
     def _elsewhere(self, job_id: str) -> Job | None:
-        """An upload to another service, or one of before: as the disk says it."""
-        there = elsewhere(self._root, self.staging, job_id)
-        if there is not None:
-            accepted, folder = there
+        """Returns an upload to another service, or one that has ended, as the disk has it; None for an unknown one."""
+        upload = find_elsewhere(self._root, self.staging, job_id)
+        if upload is not None:
+            accepted, folder = upload
             job = Job(job_id, accepted.name, accepted.owner, kind=accepted.kind, folder=folder)
             if accepted.attempts:
                 job.state, job.stage = "running", "start"
             if (folder / CANCEL).exists():
                 job.state = "cancelled"
             return job
-        kept = job_records.read_job_record(self._root, job_id)
-        if kept is None:
+        record = job_records.read_job_record(self._root, job_id)
+        if record is None:
             return None
-        kind: Kind = "garment" if kept.avatar is None else "avatar"
-        last = kept.garment or kept.avatar
-        results = tuple(kept.garments) or (() if last is None else (last,))
-        outcome = tuple(kept.notes), results, kept.wearer, kept.problem
-        return Job(kept.id, kept.name, kept.owner, kept.state, kind, *outcome)
+        kind: Kind = "garment" if record.avatar is None else "avatar"
+        last = record.garment or record.avatar
+        results = tuple(record.garments) or (() if last is None else (last,))
+        outcome = tuple(record.notes), results, record.wearer, record.problem
+        return Job(record.id, record.name, record.owner, record.state, kind, *outcome)
 
     async def cancel(self, job: Job) -> None:
-        """Ends ``job`` and removes its files. One that has ended is only forgotten, and its garment stays.
-
-        A job of another service ends within ``DRAPE_GARMENTS_LOOK_S``.
-        """
+        """Cancels ``job`` and deletes its files; another service does so within ``DRAPE_GARMENTS_LOOK_S``. Of a job
+        that has ended only the record is deleted, and its garment stays."""
         if job.ended:
             self._jobs.pop(job.id, None)
             await asyncio.to_thread(job_records.remove_record, self._root, job.id)
@@ -198,7 +193,7 @@ class Uploads:
         await asyncio.to_thread(shutil.rmtree, self.staging / job.id, ignore_errors=True)
 
     async def _keep(self, job: Job) -> None:
-        """Stores what became of ``job``, where every service that has the folder finds it."""
+        """Writes the record of the ended ``job`` to the folder of garments, where all services read it."""
         assert job.state not in ("queued", "running")
         last = {job.kind: job.results[-1] if job.results else None}
         outcome = last.get("garment"), job.problem, last.get("avatar"), job.notes
@@ -206,13 +201,14 @@ class Uploads:
         record = JobRecord(job.id, job.name, job.owner, job.state, *outcome, layers, job.wearer)
         try:
             await asyncio.to_thread(record.write, self._root)
-        except OSError as error:  # a full disk: it is known here as long as this service runs
+        except OSError as error:  # on a full disk the job is known only until this service ends
             log.warning("upload %s: its record was not kept: %s", job.id, error)
         else:
             self._jobs.pop(job.id, None)
 
     def check_place(self, client: Client = ANYONE) -> None:
-        """Refuses when too many uploads wait, are stored or run, and when there is no room for another garment."""
+        """Refuses (``Busy``) an upload of ``client`` where too many wait or run, and (``Full``) where the storage, or
+        the key's share of it, has no room for another garment."""
         self._check_room(client)
         if self.waiting >= self._settings.intake_queue:
             raise errors.Busy(
@@ -233,16 +229,14 @@ class Uploads:
         kind: Kind = "garment",
         replaces: str | None = None,
     ) -> Job:
-        """Stores the file that ``pieces`` make and queues it; refuses when too many wait, and an empty one.
-
-        ``avatar``, ``kind`` and ``replaces`` as in ``Accepted``.
-        """
+        """Stores the file whose bytes are ``pieces``, queues its intake and returns its job. Refuses as ``check_place``
+        does, and an empty file. ``avatar``, ``kind`` and ``replaces`` are those of ``Accepted``."""
         self.check_place(client)
         job = Job(uuid.uuid4().hex[:12], slug(name), client.name, kind=kind, link=self._runtime.tracing.here())
         file = self.staging / job.id / f"{job.name}.{file_format}"
-        self._jobs[job.id] = job  # at once, so that files that are being stored count
+        self._jobs[job.id] = job  # before the file is stored, so that it counts as waiting
         try:
-            if not await self.stored(file, pieces):
+            if not await self.store(file, pieces):
                 refusal, what = (MeshError, "mesh") if kind == "garment" else (BodyError, "character's")
                 expected, cure = f"the bytes of a {what} file", "Send the file as the body."
                 raise refusal("request body", expected=expected, got="nothing", cure=cure)
@@ -252,14 +246,15 @@ class Uploads:
             del self._jobs[job.id]
             shutil.rmtree(file.parent, ignore_errors=True)
             raise
-        finished = [key for key, kept in self._jobs.items() if kept.ended]
+        finished = [key for key, other in self._jobs.items() if other.ended]
         for key in finished[: max(0, len(self._jobs) - job_records.KEPT)]:
             del self._jobs[key]
         self._queue.put_nowait((job, file.parent, accepted))
         return job
 
-    async def stored(self, file: Path, pieces: AsyncIterator[bytes]) -> int:
-        """Writes ``pieces`` to ``file`` as they come. Returns how many bytes they were."""
+    async def store(self, file: Path, pieces: AsyncIterator[bytes]) -> int:
+        """Writes ``pieces`` to ``file``, in a new folder, and returns the number of bytes. Refuses (``Unavailable``)
+        where the service cannot write there."""
         try:
             file.parent.mkdir(parents=True)
         except OSError as error:
@@ -299,13 +294,14 @@ class Uploads:
                 log.exception("upload %s failed", job.id)
                 job.problem, job.state = errors.problem_of(errors.InternalError()), "failed"
             job.work = job.stage = None
-            # Not where the worker is ended: the next start goes on with it. The record comes first, so that other
-            # services always find one of both.
+            # A worker that is cancelled does not get here, and the next start goes on with the upload. The record is
+            # written before the folder goes, so that other services always find one of both.
             await self._keep(job)
             shutil.rmtree(folder, ignore_errors=True)
 
     def _findings(self, job: Job) -> tuple[tuple[str, ...], dict[str, Any] | None]:
-        """What is otherwise than in the file that ``job`` brought, or looks wrong with it, and who wore it."""
+        """Returns sentences on what differs from the file of the done ``job`` or looks wrong with it, and the body that
+        the intake found from the cloth, None if it was named."""
         if job.kind == "avatar":
             return tuple(self._runtime.avatars.get(job.results[-1], job.owner).facts.notes), None
         manifests = [self._runtime.garments.get(garment, job.owner).garment.manifest for garment in job.results]
@@ -313,7 +309,8 @@ class Uploads:
         return tuple(notes), manifests[-1].get("wearer")
 
     async def _run_intake(self, job: Job, folder: Path, accepted: Accepted) -> tuple[str, ...]:
-        """The ids of the garments or the avatar made from what was ``accepted`` and lies in ``folder``."""
+        """Runs the intake of ``accepted``, whose file lies in ``folder``, and puts what it makes in service. Returns
+        the ids of the garments, the innermost first, or that of the avatar."""
         if accepted.attempts >= MOST_ATTEMPTS:
             raise MeshError(
                 f"upload {accepted.file}",
@@ -321,54 +318,54 @@ class Uploads:
                 got="none",
                 cure="Upload the file again.",
             )
-        await asyncio.to_thread(accepted.tried, folder)
+        await asyncio.to_thread(accepted.add_attempt, folder)
         out, client = folder / "out", self._access.client(accepted.owner)
+        beside: list[asyncio.Future[None]] = []
 
-        def begun(stage: str) -> None:
+        def expect(stage: str) -> None:
+            if accepted.kind == "avatar":  # clients will ask at once for what it can wear
+                call = asyncio.to_thread(self._runtime.expect_avatar, stage, out, client.name)
+                beside.append(asyncio.ensure_future(call))
+
+        def begin_stage(stage: str) -> None:
             job.stage = stage
             self._runtime.tracing.event(stage)
             expect(stage)
 
-        def expect(stage: str) -> None:
-            if accepted.kind == "avatar":  # who wears its own clothes at once
-                made = asyncio.to_thread(self._runtime.expect_avatar, stage, out, client.name)
-                beside.append(asyncio.ensure_future(made))
-
-        beside: list[asyncio.Future[None]] = []
         expect("start")
-        file = folder / accepted.file
+        file, spare = folder / accepted.file, self._spare.take()
+        intake = run_sandbox(file, accepted.avatar, out, self._settings, begin_stage, kind=accepted.kind, waiting=spare)
         try:
-            told, spare = accepted.avatar, self._spare.take()
-            report = await run_sandbox(file, told, out, self._settings, begun, kind=accepted.kind, waiting=spare)
+            report = await intake
             await asyncio.gather(*beside)
         finally:
-            for one in beside:
-                one.cancel()
+            for call in beside:
+                call.cancel()
         job.stage = "prepare"
         self._runtime.tracing.event(job.stage)
         if accepted.kind == "avatar":
             return (await self._publish_avatar(out, report, file, accepted, client),)
         files = [out / str(name) for name in report["files"]]
-        self._check_room(client, sum(one.stat().st_size for one in files), len(files))
-        return tuple([await self._publish(one, client) for one in files])
+        self._check_room(client, sum(cache.stat().st_size for cache in files), len(files))
+        return tuple([await self._publish(cache, client) for cache in files])
 
     async def _publish_avatar(
         self, out: Path, report: dict[str, Any], file: Path, accepted: Accepted, client: Client
     ) -> str:
-        """The id of the avatar whose wearer, and the garments that it came in, are those of the ``report``, in ``out``,
-        with the user's ``file``, now in service."""
+        """Puts the avatar of ``report`` in service: its wearer and own garments in ``out``, and the user's ``file``.
+        Returns its id."""
         avatars, (avatar, *own) = self._runtime.avatars, [out / str(name) for name in report["files"]]
-        self._check_room(client, sum(one.stat().st_size for one in (avatar, file, *own)))
+        self._check_room(client, sum(path.stat().st_size for path in (avatar, file, *own)))
         clothes = OwnFiles(own, report["stiff"]) if "stiff" in report else None
         if accepted.replaces is not None:
             entry = avatars.get(accepted.replaces, client.name)
-            return (await asyncio.to_thread(avatars.replaced, entry, avatar, clothes)).id
+            return (await asyncio.to_thread(avatars.replace, entry, avatar, clothes)).id
         return (await asyncio.to_thread(avatars.add, avatar, file, client.name, clothes)).id
 
     async def _publish(self, cache: Path, client: Client) -> str:
-        """The id of the garment that ``cache`` is of: checked, on disk in the folder of ``client``, in service.
+        """Checks ``cache``, moves it to the folder of ``client`` and puts its garment in service. Returns the id.
 
-        The cache is read again here: arrays that a stranger's file led to are never taken unchecked.
+        The cache is read again here: arrays that come from a stranger's file are never used unchecked.
         """
         registry = self._runtime.garments
         prepared = await self._runtime.threads.aside(registry.prepare, cache)
@@ -380,13 +377,13 @@ class Uploads:
         try:
             await asyncio.to_thread(sync, stored.parent)
         except asyncio.CancelledError:
-            if not known:  # another upload of the same file has it
+            if not known:  # otherwise the file belongs to an earlier upload of the same garment
                 stored.unlink(missing_ok=True)
             raise
         return registry.add(prepared, "user", stored).id
 
     def _check_room(self, client: Client, more: int = 0, count: int = 1) -> None:
-        """Refuses (``Full``) ``count`` garments, of ``more`` bytes, that the disk or its key has no room for."""
+        """Refuses (``Full``) ``count`` more garments of ``more`` bytes together, where storage or key have no room."""
         characters = self._root / AVATARS
         stored = file_sizes([self._root, *self._root.glob(f"{OWNED}*/"), characters, *characters.glob(f"{OWNED}*/")])
         rules = [("bytes of all garments", self._settings.max_stored_bytes, sum(stored), more)]
@@ -394,7 +391,7 @@ class Uploads:
             own = file_sizes([folder_of(self._root, client.name)])
             rules.append(("bytes of a key's garments", client.limits.bytes, sum(own), more))
             rules.append(("garments of a key", client.limits.garments, len(own), count))
-        for name, most, there, asked in rules:
-            if there + asked > most or there >= most:
+        for name, most, present, added in rules:
+            if present + added > most or present >= most:
                 cure = "Delete garments that are no longer worn: DELETE /garments/ID."
-                raise errors.Full(name, expected=f"at most {most}", got=f"{there} and another", cure=cure)
+                raise errors.Full(name, expected=f"at most {most}", got=f"{present} and another", cure=cure)

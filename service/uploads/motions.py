@@ -1,4 +1,4 @@
-"""Motion files of strangers: each is read in a limited process (``service.uploads.sandbox``); nothing of it stays."""
+"""Reads motion files of strangers in a process with limits (``service.uploads.sandbox``), and keeps nothing of them."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ if TYPE_CHECKING:
     from service.settings import Settings
     from service.uploads.jobs import Uploads
 
-READ_S = 60.0  # a file of a minute's motion takes a second
-MEMORY_MB = 1024  # beside an intake's and that of a clip of tier exact
+READ_S = 60.0  # the most for one file; a minute's motion takes a second
+MEMORY_MB = 1024  # the most for one file, as an intake and a clip of tier exact may run beside it
 
 
 class MotionFiles:
-    """Reads one file at a time; as many as uploads may wait. They lie in the staging folder of ``uploads``."""
+    """Reads motion files, one at a time; ``intake_queue`` may wait. A file lies in the staging folder of ``uploads``
+    until it is read."""
 
     def __init__(self, uploads: Uploads, settings: Settings) -> None:
         limits = {"intake_wall_s": READ_S, "intake_cpu_s": math.ceil(READ_S)}
@@ -32,10 +33,11 @@ class MotionFiles:
         self._waiting = 0
 
     async def read(self, name: str, pieces: AsyncIterator[bytes], clip: str | None) -> bytes:
-        """The npz (``MotionClip.save``) of the clip called ``clip`` in the file ``name`` that ``pieces`` make.
+        """Returns the bytes of an npz file (``MotionClip.save``) with the clip called ``clip``, None for the longest,
+        of the file ``name`` whose bytes are ``pieces``.
 
-        The name has a suffix of ``drape.motion.readers``. Raises what the reader refuses, ``Busy`` where too many files
-        wait, and ``TooLarge`` at the limits of memory and time.
+        The suffix of ``name`` is one that ``drape.motion.readers`` reads. Raises what the reader refuses, ``Busy``
+        where too many files wait, and ``TooLarge`` at the limits of memory and time.
         """
         if self._waiting >= self._settings.intake_queue:
             expected = f"fewer than {self._settings.intake_queue} waiting"
@@ -43,7 +45,7 @@ class MotionFiles:
         self._waiting += 1
         folder = self._uploads.staging / f"motion-{uuid.uuid4().hex[:12]}"
         try:
-            if not await self._uploads.stored(folder / name, pieces):
+            if not await self._uploads.store(folder / name, pieces):
                 cure = "Send the file as the body."
                 raise MotionError("request body", expected="the bytes of a motion file", got="nothing", cure=cure)
             async with self._turn:

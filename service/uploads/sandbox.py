@@ -1,12 +1,15 @@
-"""One intake in a process with limits: ``python -m service.uploads.sandbox FILE --out DIR``; prints lines of JSON.
+"""The intake of one file in a process with limits: ``python -m service.uploads.sandbox FILE --out DIR``.
 
-Standard input holds the avatar of a garment, or nothing where the standard body is meant; with ``--kind avatar`` the
-``joints`` and ``parts`` that were told, and whether its clothes are ``alive``, as JSON, or nothing; with ``--kind
-motion`` the name of a clip, or nothing for the longest. ``{"stage": NAME}`` is a line before, for each stage as it
-begins. A mesh file of a few hundred bytes can ask for gigabytes, so strangers' files are never parsed in the serving
-process. The last line is ``{"problem": {kind, name, expected, got, cure}}``, or ``{"files": [NAME, ...]}``: the
-garments of the file, the innermost first, or the motion, or the avatar and then the garments that it came in, with
-``stiff``: why others of its clothes are none.
+Strangers' files are never parsed in the serving process, because a mesh file of a few hundred bytes can make a reader
+take gigabytes.
+
+Standard input holds, for a garment, the body that it was modelled on, or nothing where the intake shall find it; with
+``--kind avatar`` JSON with the ``joints`` and ``parts`` that a client named and ``alive``, whether its clothes become
+garments, or nothing; with ``--kind motion`` the name of a clip, or nothing for the longest.
+
+Standard output has lines of JSON: ``{"stage": NAME}`` when a stage begins, and as the last line ``{"problem": {kind,
+name, expected, got, cure}}`` or ``{"files": [NAME, ...]}``. The files are the garments, the innermost first; or the
+motion; or the avatar and then the garments of its own clothes, with ``stiff``: why others did not become garments.
 """
 
 from __future__ import annotations
@@ -27,14 +30,15 @@ from drape.forked import end_with_parent, may_fork
 from service.compute.background import processor_count, step_back
 
 FILE_LIMIT_BYTES = 2**30
-MOST_PROCESSES = 2  # of one intake, each with its limits: a copy of it has half of what takes long
-MOST_FRAMES = 36_000  # of a motion: twenty minutes at 30 a second
+MOST_PROCESSES = 2  # an intake shares its longest steps with a copy of itself, which has the same limits
+MOST_FRAMES = 36_000  # the most of a motion: twenty minutes at 30 a second
 CURE = "Export it again."
-NO_STACK = os.strerror(errno.EAGAIN)  # what a library in C++ says where a thread of its own gets no memory
+NO_STACK = os.strerror(errno.EAGAIN)  # the error of a C++ library where a thread of its own gets no memory
 
 
 class Thing(NamedTuple):
-    """A kind of file in words, the refusal of one that cannot be read, and the cure of one that is too large."""
+    """The words of refusals of one kind of file: its name in ``words``, the class of the ``refusal`` of a file that
+    cannot be read, and the cure for one that is too large (``smaller``)."""
 
     words: str
     refusal: type[DrapeError]
@@ -49,7 +53,8 @@ THINGS = {
 
 
 def set_limits(*, memory_mb: int, cpu_s: int) -> None:
-    """Limits the address space, the processor time and the size of files of this process, and forbids core dumps."""
+    """Limits this process to an address space of ``memory_mb`` [MiB], ``cpu_s`` [s] of processor time and files of
+    ``FILE_LIMIT_BYTES``, and forbids core dumps."""
     memory = memory_mb * 2**20
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 2))
@@ -58,28 +63,35 @@ def set_limits(*, memory_mb: int, cpu_s: int) -> None:
 
 
 def _take_buffers() -> None:
-    """Has BLAS take its buffers: where a limit leaves no room for them, it ends the process without a word."""
+    """Makes BLAS allocate its buffers before memory is limited. It would end the process without a message where it
+    cannot."""
     import numpy as np
     from scipy.linalg import get_blas_funcs
 
     square = np.ones((256, 256))
     np.dot(square, square)
-    (gemm,) = get_blas_funcs(("gemm",), (square,))  # of scipy, which has a BLAS of its own
+    (gemm,) = get_blas_funcs(("gemm",), (square,))  # SciPy has a BLAS of its own
     gemm(1.0, square, square)
 
 
 def intake_files(file: Path, out: Path, *, avatar: str | None, body: str) -> list[str]:
-    """The names of the cache files that the intake makes of ``file``, one for each garment in it."""
+    """Takes the garments of the mesh ``file`` in, writes their caches to ``out`` and returns the caches' names, the
+    innermost garment first. ``avatar`` is the body that they were modelled on, None where the intake finds it; ``body``
+    is the name of the standard body."""
     from drape.body.assets import load_body
     from drape.garment.intake import intake_outfit
 
-    made = intake_outfit(file, avatar=avatar, body=load_body(body), folder=out, quick=True, begun=_say)
-    return [garment.file_name() for garment in made]
+    garments = intake_outfit(file, avatar=avatar, body=load_body(body), folder=out, quick=True, begun=_print_stage)
+    return [garment.file_name() for garment in garments]
 
 
 def avatar_files(file: Path, out: Path, *, meaning: str | None, body: str) -> tuple[list[str], dict[str, str] | None]:
-    """The names of the file of the wearer that the character in ``file`` becomes, and of those of its own clothes; why
-    others of these are no cloth, None where nobody asked for them."""
+    """Takes the character in ``file`` in and writes its wearer, and caches of its own clothes if ``meaning`` asks for
+    these, to ``out``.
+
+    Returns the names of the files, that of the wearer first, and by the names of parts why other clothes did not become
+    garments; None in place of these if ``meaning`` does not ask for clothes.
+    """
     from drape.avatar.own_garments import own_garments
     from drape.avatar.wearer import read_wearer, save_wearer, wearer_name
     from drape.body.assets import load_body
@@ -88,22 +100,21 @@ def avatar_files(file: Path, out: Path, *, meaning: str | None, body: str) -> tu
     named, payload = json.loads(meaning) if meaning else {}, file.read_bytes()
     wearer = read_wearer(
         payload, name=wearer_name(file.stem), body=load_body(body), told=named.get("joints"),
-        kinds=named.get("parts"), begun=_say,
+        kinds=named.get("parts"), begun=_print_stage,
     )  # fmt: skip
-    stored = save_wearer(wearer, out)  # before its clothes: the service looks at it meanwhile
+    stored = save_wearer(wearer, out)  # before the clothes are made: the service reads it meanwhile
     if not named.get("alive"):
         return [stored.name], None
-    _say("cloth")
+    _print_stage("cloth")
     own = own_garments(payload, wearer)
-    _say("store")
-    return [path.name for path in (stored, *(save_garment(one, out, quick=True) for one in own.garments))], own.stiff
+    _print_stage("store")
+    caches = [save_garment(garment, out, quick=True) for garment in own.garments]
+    return [path.name for path in (stored, *caches)], own.stiff
 
 
 def motion_file(file: Path, out: Path, *, clip: str | None) -> Path:
-    """The file of the clip called ``clip`` in the motion ``file``, or of its longest, as ``MotionClip.save`` writes it.
-
-    Raises ``TooLarge`` for more than ``MOST_FRAMES`` frames.
-    """
+    """Writes the clip called ``clip``, None for the longest, of the motion ``file`` to ``out`` as ``MotionClip.save``
+    does. Returns the path. Raises ``TooLarge`` for more than ``MOST_FRAMES`` frames."""
     from drape.motion.readers import read_motion
 
     motion = read_motion(file, clip=clip)
@@ -115,12 +126,13 @@ def motion_file(file: Path, out: Path, *, clip: str | None) -> Path:
     return path
 
 
-def _say(stage: str) -> None:
+def _print_stage(stage: str) -> None:
     print(json.dumps({"stage": stage}), flush=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Takes one file in, as the ``arguments``, or those of the command line, say; returns the status to end with."""
+    """Takes one file in as ``arguments``, those of the command line by default, say. Returns the exit status: 0, or 2
+    after a refusal."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path)
     parser.add_argument("--out", type=Path, required=True)
@@ -147,10 +159,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _refuse(options.out, error)
     except Exception as error:
         thing, got = THINGS[options.kind], "one that does not"
-        # Libraries are read as they are wanted: what says that it cannot be has no room to be in.
+        # Libraries are loaded when they are used, so an import that fails is also for want of memory.
         if isinstance(error, (MemoryError, ImportError)) or str(error) == NO_STACK:
             expected, cure = f"{thing.words} that fits into {options.memory_mb} MB", thing.smaller
-        else:  # a fault of ours that a strange file found: whoever sent it is told of the file
+        else:  # a fault of ours that this file has brought to light; the client can only change the file
             expected, got, cure = f"{thing.words} that can be read", f"one at which it fails: {error!r}"[:120], CURE
         return _refuse(options.out, thing.refusal(options.file.name, expected=expected, got=got, cure=cure))
     print(json.dumps({"files": files} | ({} if stiff is None else {"stiff": stiff})))

@@ -1,4 +1,4 @@
-"""A process of the intake that waits for the next upload (``service.uploads.spare_sandbox``)."""
+"""Keeps a process of the intake (``service.uploads.spare_sandbox``) ready for the next upload."""
 
 from __future__ import annotations
 
@@ -7,27 +7,28 @@ from collections.abc import Callable
 
 from service.compute.processes import Process, kill, start_process
 
-AFTER_S = 5.0  # so long nothing is taken in before one begins, that what starts or works is left alone
+AFTER_S = 5.0  # between two looks, so that the start of a process does not slow the service's own start or an intake
 
 
 class Spare:
-    """At most one process that waits, of some 60 MB; it begins ``AFTER_S`` after a look that found nothing taken in."""
+    """Keeps at most one process ready, of some 60 MB. Every ``AFTER_S`` it starts one if there is none and ``idle()``
+    says that no upload waits or runs."""
 
     def __init__(self, idle: Callable[[], bool]) -> None:
         self._idle, self._process = idle, None
         self._task: asyncio.Task[None] | None = None
 
     def start(self) -> None:
-        """Looks from now on whether one is missing."""
+        """Starts the task that keeps a process ready."""
         self._task = asyncio.create_task(self._keep(), name="spare intake")
 
     def take(self) -> Process | None:
-        """The process that waits, which is the caller's from here on; None where none does."""
+        """Returns the process that is ready, which then belongs to the caller; None if there is none."""
         process, self._process = self._process, None
         return process if process is not None and process.poll() is None else None
 
     def stop(self) -> None:
-        """Ends what waits."""
+        """Ends the task and the process that is ready."""
         if self._task is not None:
             self._task.cancel()
         if (process := self.take()) is not None:

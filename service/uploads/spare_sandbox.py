@@ -1,7 +1,7 @@
-"""A process of the intake that has read its libraries before a file is there.
+"""A process of the intake that imports its libraries before there is a file.
 
-``python -m service.uploads.spare_sandbox`` reads a line of JSON, the arguments of ``service.uploads.sandbox``, and goes
-on as that does. Its libraries take 0.9 s of a processor, which whoever drops a file does not wait for.
+``python -m service.uploads.spare_sandbox`` then reads a line of JSON, the arguments of ``service.uploads.sandbox``, and
+goes on as that does. The imports take 0.9 s of a processor, which clients need not wait for.
 """
 
 from __future__ import annotations

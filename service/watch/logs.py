@@ -1,7 +1,7 @@
-"""Log lines with time, client and request: JSON, one object a line, or text; and what each request leaves.
+"""Log lines as JSON or text, and the middleware that logs, counts and traces each request.
 
-Every request has an id and leaves one line, one count and, where asked for, one span: ``RequestLog``. A line never has
-headers, query strings or bodies: keys, tickets and people's measurements travel there.
+Every request has an id and leaves one line, one count and, with tracing, one span: ``RequestLog``. A line never has
+headers, query strings or bodies, because these hold keys, tickets and people's measurements.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from service.watch.tracing import Tracing
 
 HEADER = "X-Request-Id"
-LEFT = 499  # what a log says where the client went away before its answer; nobody gets it
+LEFT = 499  # the status in logs and metrics of a request whose client went away before its answer
 _ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 _STARTS = {"http.response.start", "websocket.accept", "websocket.http.response.start"}
 log = logging.getLogger("drape.access")
@@ -39,7 +39,7 @@ log = logging.getLogger("drape.access")
 
 @dataclass(frozen=True)
 class Asker:
-    """The request that is being answered: its id, the address of its client, and its scope."""
+    """The request that is being answered: its id, the IP address of its client ("" if unknown), and its ASGI scope."""
 
     request: str
     client: str
@@ -47,12 +47,13 @@ class Asker:
 
 
 ASKER: ContextVar[Asker | None] = ContextVar("asker", default=None)
-FIELDS = ("method", "path", "status", "ms")  # that a record may have besides
-UVICORN_WEBSOCKET = '%s - "WebSocket %s"'  # its lines have query strings; ours say the same without
+FIELDS = ("method", "path", "status", "ms")  # further fields that a record may have
+UVICORN_WEBSOCKET = '%s - "WebSocket %s"'  # Uvicorn's lines of WebSockets have query strings, so ours replace them
 
 
 class JsonLines(logging.Formatter):
-    """Each record as one line of JSON: time (UTC), level, logger, message, request, client, and ``FIELDS`` it has."""
+    """Formats a record as one line of JSON: time (UTC), level, logger, message, the request's id and client, those of
+    ``FIELDS`` that it has, and the traceback of an exception."""
 
     def format(self, record: logging.LogRecord) -> str:
         document = {
@@ -68,13 +69,14 @@ class JsonLines(logging.Formatter):
 
 
 class TextLines(logging.Formatter):
-    """Each record as lines of text, for people at a terminal."""
+    """Formats a record as text for people at a terminal: a line with local time, level, message and fields, and the
+    traceback of an exception."""
 
     def format(self, record: logging.LogRecord) -> str:
-        told = " ".join(f"{name}={value}" for name, value in _about(record).items())
+        fields = " ".join(f"{name}={value}" for name, value in _about(record).items())
         line = f"{time.strftime('%H:%M:%S', time.localtime(record.created))} {record.levelname} {record.getMessage()}"
         trace = "\n" + self.formatException(record.exc_info) if record.exc_info else ""
-        return f"{line} {told}".rstrip() + trace
+        return f"{line} {fields}".rstrip() + trace
 
 
 def _about(record: logging.LogRecord) -> dict[str, object]:
@@ -88,7 +90,7 @@ def _without_queries(record: logging.LogRecord) -> bool:
 
 
 def set_up(form: Literal["json", "text"]) -> None:
-    """Sends all lines of this process to standard error in this form."""
+    """Makes all loggers of this process write to standard error in the format ``form``, from level INFO on."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines() if form == "json" else TextLines())
     handler.addFilter(_without_queries)
@@ -96,13 +98,15 @@ def set_up(form: Literal["json", "text"]) -> None:
 
 
 def request_id(headers: Headers) -> str:
-    """The id that the client sent, if it is at most 64 letters, digits, dots, dashes and underscores, or a new one."""
+    """Returns the header X-Request-Id of a request if it has at most 64 letters, digits, dots, dashes and underscores;
+    else a new id of 32 hexadecimal digits."""
     sent = headers.get(HEADER, "")
     return sent if _ID.fullmatch(sent) else uuid.uuid4().hex
 
 
 class RequestLog:
-    """The outermost middleware. A client that goes away leaves a line and no traceback; a fault of ours leaves one."""
+    """The outermost middleware: logs, counts and traces each request, and adds its id to the answer. A fault of ours is
+    answered with ``InternalError`` and logged with its traceback; a client that goes away is logged without one."""
 
     def __init__(self, app: ASGIApp, metrics: Metrics, tracing: Tracing) -> None:
         self.app, self._metrics, self._tracing = app, metrics, tracing
@@ -115,18 +119,18 @@ class RequestLog:
         asker = Asker(request_id(headers), scope["client"][0] if scope.get("client") else "", scope)
         token = ASKER.set(asker)
         try:
-            with self._tracing.request(method, headers, asker.request) as answered:
+            with self._tracing.request(method, headers, asker.request) as span:
                 begun_s, status = time.perf_counter(), LEFT
                 try:
-                    status = await self._answered(scope, receive, send, asker)
+                    status = await self._answer(scope, receive, send, asker)
                 finally:
-                    answered.told(method, logged_path(scope), status)
-                    self._tell(scope, method, status, time.perf_counter() - begun_s)
+                    span.note_answer(method, logged_path(scope), status)
+                    self._log(scope, method, status, time.perf_counter() - begun_s)
         finally:
             ASKER.reset(token)
 
-    async def _answered(self, scope: Scope, receive: Receive, send: Send, asker: Asker) -> int:
-        """The status that the request was answered with; ``LEFT`` where it was not."""
+    async def _answer(self, scope: Scope, receive: Receive, send: Send, asker: Asker) -> int:
+        """Answers the request. Returns the status of the answer, ``LEFT`` if there is none."""
         status = 0
 
         async def send_named(message: Message) -> None:
@@ -141,7 +145,7 @@ class RequestLog:
             await self.app(scope, receive, send_named)
         except ClientDisconnect:  # before its answer, or in the middle of it
             pass
-        except asyncio.CancelledError:  # the end of the service, which waits no longer
+        except asyncio.CancelledError:  # the service ends and waits no longer
             if scope["type"] == "http" and not status:
                 await problem_response(Draining())(scope, receive, send_named)
         except Exception:
@@ -150,17 +154,19 @@ class RequestLog:
                 await problem_response(InternalError())(scope, receive, send_named)
         return status or LEFT
 
-    def _tell(self, scope: Scope, method: str, status: int, took_s: float) -> None:
+    def _log(self, scope: Scope, method: str, status: int, took_s: float) -> None:
         path = logged_path(scope)
         self._metrics.requests.labels(method, path, str(status)).inc()
         if scope["type"] == "http":
             self._metrics.request_seconds.labels(path).observe(took_s)
-        said = {"method": method, "path": legible(scope["path"][:200]), "status": status, "ms": round(1e3 * took_s, 1)}
+        fields = {"method": method, "path": legible(scope["path"][:200]), "status": status}
         level = logging.DEBUG if scope["path"] in PATHS else logging.INFO
-        log.log(level, "answered" if status != LEFT else "the client left", extra=said)
+        message = "answered" if status != LEFT else "the client left"
+        log.log(level, message, extra=fields | {"ms": round(1e3 * took_s, 1)})
 
 
 def logged_path(scope: Scope) -> str:
-    """The path with its parameters' names in place of their values; "page" for files of the page and unknown paths."""
+    """Returns the path of the request's route, with the names of parameters in place of their values; "page" for files
+    of the page and unknown paths."""
     route: Any = scope.get("route")
     return getattr(route, "path", "") or "page"

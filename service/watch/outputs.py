@@ -1,9 +1,9 @@
-"""Standard output and error that never wait for their reader: ``free_outputs``.
+"""Makes writing to standard output and error never wait for a reader: ``free_outputs``.
 
-What is written there (log lines, prints, what libraries and child processes say) goes through pipes to a process that
-does the waiting: for a reader that stalls, for room on a disk. It keeps the latest ``KEPT_BYTES``, and tells how many
-lines it dropped once they flow again. A thread of the service would not do: ``faulthandler`` writes with the
-interpreter lock in its hands, and the last words of a process that crashes would be lost.
+All that this process, its libraries and its child processes write goes through pipes to another process, which waits
+for a reader that stalls or a disk that is full. It keeps the latest ``KEPT_BYTES``, and reports how many lines it has
+dropped once they flow again. A thread of the service could not do this: ``faulthandler`` writes while it holds the
+interpreter lock, and the last lines of a process that crashes would be lost.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ import threading
 import time
 from collections import deque
 
-KEPT_BYTES = 128 * 1024  # of each output: some 600 lines
-LINE_BYTES = 16 * 1024  # a longer one is cut
-LAST_S = 1.0  # for what is kept when the service has ended
-TURN_S = 0.05  # for a reader that takes lines, but has waited for a processor
-COUNTS = struct.Struct("<2Q")  # lines dropped of standard output and of standard error
-_counts: list[int] = []  # the file that has them
+KEPT_BYTES = 128 * 1024  # the most that waits, for each output: some 600 lines
+LINE_BYTES = 16 * 1024  # longer lines are cut
+LAST_S = 1.0  # the time for the last lines once the service has ended
+TURN_S = 0.05  # the time for a reader that takes lines but waits for a processor
+COUNTS = struct.Struct("<2Q")  # the numbers of dropped lines of standard output and of standard error
+_counts: list[int] = []  # the file descriptor of the numbers, once ``free_outputs`` has run
 
 
 def log_time(at_s: float) -> str:
-    """The time ``at_s`` [s since 1970] as log lines have it: UTC, to the millisecond."""
+    """Returns the time ``at_s`` [s since 1970] as text for log lines: ISO 8601, UTC, to the millisecond."""
     return time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(at_s)) + f".{int(at_s % 1.0 * 1e3):03d}Z"
 
 
 def free_outputs(form: str) -> None:
-    """Sends standard output and error through a process of their own, which says of dropped lines in this ``form``,
-    json or text."""
-    while (spare := os.open(os.devnull, os.O_RDWR)) <= 2:  # an output that is closed has no reader
+    """Starts the process that hands standard output and error on, and makes this process write to it. It reports
+    dropped lines in the format ``form``, "json" or "text"."""
+    while (spare := os.open(os.devnull, os.O_RDWR)) <= 2:  # an output that is closed is opened to nothing
         pass
     counts = os.memfd_create("dropped") if sys.platform == "linux" else os.dup(spare)
     os.close(spare)
@@ -57,7 +57,7 @@ def free_outputs(form: str) -> None:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Waits until ``process`` has handed on the last lines; not for long."""
+    """Waits until ``process`` has handed on the last lines, at most ``2 LAST_S``."""
     for file in filter(None, (sys.stdout, sys.stderr)):
         file.flush()
     nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -68,50 +68,51 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def dropped_lines() -> int:
-    """Lines that were dropped since ``free_outputs``; 0 where the system is not Linux."""
-    told = os.pread(_counts[0], COUNTS.size, 0) if _counts else b""
-    return sum(COUNTS.unpack(told.ljust(COUNTS.size, b"\0")))
+    """Returns how many lines of both outputs were dropped since ``free_outputs``; always 0 on other systems than
+    Linux."""
+    raw = os.pread(_counts[0], COUNTS.size, 0) if _counts else b""
+    return sum(COUNTS.unpack(raw.ljust(COUNTS.size, b"\0")))
 
 
 def _note(lines: int, form: str) -> bytes:
     message, now_s = f"{lines} lines were dropped: nobody took them", time.time()
-    told = {"time": log_time(now_s), "level": "warning", "logger": "drape.outputs", "message": message}
+    record = {"time": log_time(now_s), "level": "warning", "logger": "drape.outputs", "message": message}
     text = f"{time.strftime('%H:%M:%S', time.localtime(now_s))} WARNING {message}"
-    return (json.dumps(told) if form == "json" else text).encode() + b"\n"
+    return (json.dumps(record) if form == "json" else text).encode() + b"\n"
 
 
 def _hand_on(source: int, target: int, form: str, counts: int, place: int) -> None:
-    """Hands lines on from ``source`` to ``target`` until nobody can write any more; then what is kept, for
-    ``LAST_S``. Their dropped lines are the number at ``place`` of ``counts``."""
-    kept: deque[bytes] = deque()
+    """Hands lines on from the file ``source`` to ``target`` until all writers have closed it, and then those that wait,
+    for ``LAST_S``. Writes the number of dropped lines as number ``place`` of the file ``counts``."""
+    waiting: deque[bytes] = deque()
     news, size, dropped, stalled = threading.Condition(), 0, 0, False
 
     def drop() -> None:
         nonlocal dropped
         dropped += 1
-        with contextlib.suppress(OSError):  # where no file may be written at all
+        with contextlib.suppress(OSError):  # the process may be forbidden to write files
             os.pwrite(counts, struct.pack("<Q", dropped), 8 * place)
 
     def write() -> None:
         nonlocal size, stalled
-        reported, begun = 0, b""  # the latter ends a line that the disk took a part of
+        reported, line_end = 0, b""  # the end of a line of which only a part was written
         while True:
             with news:
-                news.wait_for(lambda: len(kept) > 0)
-                line, missing = kept.popleft(), dropped - reported
-            left = whole = begun + _note(missing, form) + line if missing else line
-            while left:
+                news.wait_for(lambda: len(waiting) > 0)
+                line, missing = waiting.popleft(), dropped - reported
+            rest = whole = line_end + _note(missing, form) + line if missing else line
+            while rest:
                 try:
-                    left = left[os.write(target, left) :]
-                except BlockingIOError:  # its other users do not wait
+                    rest = rest[os.write(target, rest) :]
+                except BlockingIOError:  # another program has made the file non-blocking
                     select.select([], [target], [])
                 except OSError:  # a full disk, a reader that has gone
                     break
-            begun = b"\n" if left and left != whole else b""
+            line_end = b"\n" if rest and rest != whole else b""
             with news:
                 size, stalled = size - len(line), False
                 news.notify_all()
-                if left:
+                if rest:
                     drop()
                 else:
                     reported += missing
@@ -123,13 +124,13 @@ def _hand_on(source: int, target: int, form: str, counts: int, place: int) -> No
     with os.fdopen(source, "rb") as lines:
         while line := lines.readline(LINE_BYTES):
             with news:
-                kept.append(line)
+                waiting.append(line)
                 size += len(line)
                 news.notify_all()
                 if not fits() and not stalled and select.select([], [target], [], 0.0)[1]:
                     stalled = not news.wait_for(fits, TURN_S)
-                while not fits() and len(kept) > 1:
-                    size -= len(kept.popleft())
+                while not fits() and len(waiting) > 1:
+                    size -= len(waiting.popleft())
                     drop()
     until_s = time.monotonic() + LAST_S
     while size and time.monotonic() < until_s:
@@ -137,8 +138,9 @@ def _hand_on(source: int, target: int, form: str, counts: int, place: int) -> No
 
 
 def main() -> None:
-    """Hands on what the service and its children write, until all of them have ended."""
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):  # who ends the service ends it first
+    """Runs the process that ``free_outputs`` starts: hands lines on until the service and its child processes have
+    ended."""
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):  # it must outlive the service
         signal.signal(number, signal.SIG_IGN)
     form, (counts, *ends) = sys.argv[1], map(int, sys.argv[2:])
     ways = [(*ends[:2], form, counts, 0), (*ends[2:], form, counts, 1)]
@@ -147,7 +149,7 @@ def main() -> None:
         output.start()
     for output in outputs:
         output.join()
-    os._exit(0)  # a thread may still wait
+    os._exit(0)  # a thread may still wait for a reader
 
 
 if __name__ == "__main__":

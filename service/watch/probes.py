@@ -1,8 +1,8 @@
-"""Whether the service lives and takes work, and who says so: ``Lifecycle``, and ``Probes`` on a port of its own.
+"""Whether the service is alive and ready: ``Lifecycle`` knows it, and ``Probes`` answers on a port of its own.
 
-The event loop says that it turns, a few times a second. ``/livez`` and ``/readyz`` on the service's port wait for
-nothing but that loop, and ``/metrics`` for frames of streams. ``Probes`` is a thread with a port of its own
-(``DRAPE_PROBE_PORT``). It sees a loop that has stopped turning, and it answers while models load.
+The event loop notes a few times a second that it turns. On the service's port ``/livez`` and ``/readyz`` wait only for
+that loop, and ``/metrics`` for frames of streams. ``Probes`` is a thread with its own port (``DRAPE_PROBE_PORT``), so
+it also answers while models load and when the loop stands still.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from service.watch.prometheus import MEDIA_TYPE, Metrics
 
 JSON = "application/json"
 PATHS = ("/livez", "/readyz", "/metrics")
-CLIENT_S = 2.0  # for one request of one client
+CLIENT_S = 2.0  # the time for one request of a client of ``Probes``
 MOST_CLIENTS = 16
 
 Answer = tuple[int, str, bytes]
@@ -30,38 +30,40 @@ TICK_S = 0.25
 
 
 class Lifecycle:
-    """Loading, ready or draining, and when the event loop last came round; read from any thread."""
+    """The state of a service: loading, ready or draining, and when the event loop last turned. Any thread may read it.
+    A job or loop that stands still for ``stuck_s`` [s] makes it unhealthy."""
 
     def __init__(self, *, stuck_s: float) -> None:
         self._stuck_s = stuck_s
         self._ready = self.draining = False
-        self.hurried = False  # what is not through by now is told to come again
+        self.hurried = False  # true when requests that still run are refused, as the service ends
         self._turned_s: float | None = None
-        self.still: dict[str, float] = {}  # for how long [s] the oldest job of each lane has not moved: ``Watchdog``
-        self.works: dict[str, Callable[[], bool]] = {}  # what must be running, by name
+        self.still: dict[str, float] = {}  # how long [s] the oldest job of each lane has not moved (``Watchdog``)
+        self.works: dict[str, Callable[[], bool]] = {}  # whether parts of a ready service run, by their names
 
     def ready(self) -> None:
-        """Says that everything is loaded."""
+        """Marks the service as loaded."""
         self._ready = True
 
     async def tick(self, lag: Callable[[float], None]) -> None:
-        """Says again and again that the loop turns, and tells ``lag`` how late [s] it came round."""
+        """Notes every ``TICK_S`` that the event loop turns, and calls ``lag`` with how late [s] it was. Runs until it
+        is cancelled."""
         while True:
             begun_s = self._turned_s = time.monotonic()
             await asyncio.sleep(TICK_S)
             lag(max(0.0, time.monotonic() - begun_s - TICK_S))
 
     def ended(self) -> None:
-        """Says that the loop has ended in good order: it need not turn any more."""
+        """Notes that the event loop has ended, so that it is not expected to turn."""
         self._turned_s = None
 
     @property
     def loop_still_s(self) -> float:
-        """For how long [s] the event loop has not come round."""
+        """How long [s] ago the event loop last turned; 0 before it begins and after it ends."""
         return 0.0 if self._turned_s is None else time.monotonic() - self._turned_s
 
     def unhealthy(self) -> DrapeError | None:
-        """Why the process should be replaced; None while it lives."""
+        """Returns why the process should be replaced: the loop or a job that stands still. None if it is healthy."""
         waits = self.still | {"event loop": self.loop_still_s}
         lane = max(waits, key=waits.__getitem__)
         if waits[lane] <= self._stuck_s:
@@ -74,7 +76,8 @@ class Lifecycle:
         )
 
     def unready(self) -> DrapeError | None:
-        """Why no work should be sent here; None while it is welcome."""
+        """Returns why no requests should be sent to this process: it loads, drains or is unhealthy, or a part has
+        stopped. None if it is ready."""
         stopped = [name for name, runs in self.works.items() if not runs()]
         for got, reason in (("one that drains", self.draining), ("one that still loads", not self._ready)):
             if reason:
@@ -87,22 +90,19 @@ class Lifecycle:
 
 
 def probe_answer(path: str, lifecycle: Lifecycle, metrics: Metrics) -> Answer:
-    """Status, media type and content for one of ``PATHS``."""
+    """Returns the status, the media type and the body of the answer to GET ``path``, one of ``PATHS``."""
     if path == "/metrics":
         return 200, MEDIA_TYPE, metrics.text()
-    wrong = lifecycle.unhealthy() if path == "/livez" else lifecycle.unready()
-    if wrong is None:
+    fault = lifecycle.unhealthy() if path == "/livez" else lifecycle.unready()
+    if fault is None:
         return 200, JSON, b'{"status": "ok"}'
-    return _refusal(wrong)
-
-
-def _refusal(error: DrapeError) -> Answer:
-    document = problem_of(error)
+    document = problem_of(fault)
     return document["status"], PROBLEM, json.dumps(document).encode()
 
 
 class Probes(ThreadingHTTPServer):
-    """Answers probes (``probe_answer``) from a thread of its own on a listening socket; ``with`` starts and ends it."""
+    """A server that answers probes (``probe_answer``) on ``listener``, a listening socket, in threads of its own. As a
+    context manager it runs while the block runs."""
 
     daemon_threads = True
 
@@ -124,7 +124,7 @@ class Probes(ThreadingHTTPServer):
         self.server_close()
 
     def process_request(self, request, client_address) -> None:
-        """Answers in a thread of its own; hangs up while ``MOST_CLIENTS`` are being answered."""
+        """Answers ``request``, a connection, in a thread of its own; closes it while ``MOST_CLIENTS`` are answered."""
         if self._places.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
@@ -137,7 +137,7 @@ class Probes(ThreadingHTTPServer):
             self._places.release()
 
     def handle_error(self, request, client_address) -> None:
-        """Does nothing: a client that left is no error of ours."""
+        """Ignores the error: it comes from a client that has left."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -147,10 +147,10 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         path, server = self.path.partition("?")[0], self.server
         assert isinstance(server, Probes)
-        found: Answer = (404, "text/plain", f"expected one of {', '.join(PATHS)}\n".encode())
+        answer: Answer = (404, "text/plain", f"expected one of {', '.join(PATHS)}\n".encode())
         if path in PATHS:
-            found = probe_answer(path, server.lifecycle, server.metrics)
-        status, kind, content = found
+            answer = probe_answer(path, server.lifecycle, server.metrics)
+        status, kind, content = answer
         self.send_response(status)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(content)))

@@ -25,7 +25,7 @@ MEDIA_TYPE = CONTENT_TYPE_PLAIN_0_0_4
 
 
 class Metrics:
-    """The series of one service; every method may be called from any thread."""
+    """The series of one service, as attributes. Any thread may call its methods."""
 
     def __init__(self) -> None:
         registry = self.registry = CollectorRegistry()
@@ -43,60 +43,68 @@ class Metrics:
         # Streams.
         self.poses = counter("poses", "Poses that streams sent.")
         self.poses_dropped = counter("poses_dropped", "Poses that a newer one replaced before they were draped.")
-        self.frames_sent = counter("frames_sent", "Frames handed to streams' connections.")
-        self.frames_on_time = counter("frames_on_time", "Of these, within DRAPE_FRAME_DEADLINE_S of their pose.")
-        self.frame_age = histogram("frame_age_seconds", "From a pose's coming to its frame's leaving.", SECONDS)
-        self.ack = histogram("frame_acknowledged_seconds", "From a frame's being ready to its being taken.", SECONDS)
-        self.batch_frames = histogram("batch_frames", "Streams' frames computed together.", FRAMES)
+        self.frames_sent = counter("frames_sent", "Frames sent to clients of streams.")
+        on_time = "Frames sent to clients of streams within DRAPE_FRAME_DEADLINE_S of their pose."
+        self.frames_on_time = counter("frames_on_time", on_time)
+        age = "Time from the arrival of a pose until its frame is sent."
+        self.frame_age = histogram("frame_age_seconds", age, SECONDS)
+        acknowledged = "Time from a frame being ready until the client acknowledges it."
+        self.ack = histogram("frame_acknowledged_seconds", acknowledged, SECONDS)
+        self.batch_frames = histogram("batch_frames", "Frames of streams that are computed together.", FRAMES)
         self.streams = gauge("streams", "Open streams.")
-        self.poses_waiting = gauge("poses_waiting", "Poses that wait for the worker or for credit.")
+        self.poses_waiting = gauge("poses_waiting", "Streams with a pose that waits for a worker or for credit.")
         self.evictions = counter("evictions", "Streams ended by the service, by kind of refusal.", "kind")
-        self.moved = counter("streams_moved", "Streams that went to another process, by whether with state.", "state")
-        self.brought = counter("streams_brought", "Streams that came with a state, by whether they go on.", "resumed")
-        # A frame on its way.
-        self.stage = histogram("stage_seconds", "Of one batch in a stage.", SECONDS, "stage")
+        self.moved = counter("streams_moved", "Streams sent to another process, by whether with their state.", "state")
+        brought = "Streams that came from another process with a state, by whether they resumed."
+        self.brought = counter("streams_brought", brought, "resumed")
+        # The stages of a frame.
+        self.stage = histogram("stage_seconds", "Time that one batch takes in a stage.", SECONDS, "stage")
         self.frames = counter("frames", "Frames draped, for streams and clips.")
-        self.folds_resets = counter("folds_resets", "Layers whose folds were begun anew.")
-        self.pushed_share = histogram("pushed_share", "Of a frame's vertices, moved by the push-out.", SHARES)
-        self.push_max = histogram("push_max_meters", "Furthest way of a vertex in the push-out, by frame.", METRES)
-        self.jets_left = histogram("jets_left_meters", "What jets lack of the push-out at most, by frame.", METRES)
-        # A card that draws folds.
-        self.card_works = gauge("card_works", "Whether the card draws frames; 0 once it has failed.")
-        self.card_occupied = gauge("card_occupied_share", "Of the card's memory, taken.")
+        self.folds_resets = counter("folds_resets", "Layers whose folds began anew, without the frame before.")
+        self.pushed_share = histogram("pushed_share", "Share of a frame's vertices that the push-out moved.", SHARES)
+        self.push_max = histogram("push_max_meters", "Farthest that the push-out moved a vertex, by frame.", METRES)
+        left = "Most that jets fall short of the push-out of vertices, by frame."
+        self.jets_left = histogram("jets_left_meters", left, METRES)
+        # A graphics card that computes folds.
+        self.card_works = gauge("card_works", "Whether the card computes frames: 1, or 0 once it has failed.")
+        self.card_occupied = gauge("card_occupied_share", "Share of the card's memory that is used.")
         self.card_queue = gauge("card_queue_seconds", "Age of the oldest frame that waits for the card.")
-        self.card_frames = gauge("card_frames", "Frames that the card has drawn.")
-        self.card_launches = gauge("card_launches", "Launches that drew them.")
+        self.card_frames = gauge("card_frames", "Frames that the card has computed.")
+        self.card_launches = gauge("card_launches", "Kernel launches that computed these frames.")
         # Requests.
         self.requests = counter("requests", "Answered requests.", "method", "path", "status")
-        self.request_seconds = histogram(
-            "request_seconds", "From a request's head to its answer's end.", SECONDS, "path"
-        )
+        seconds = "Time from the head of a request to the end of its answer."
+        self.request_seconds = histogram("request_seconds", seconds, SECONDS, "path")
         self.clips = gauge("clips", "Clips that are being computed.")
         self.uploads_waiting = gauge("uploads_waiting", "Uploads that wait or run.")
         self.garments = gauge("garments", "Garments in service.")
         # The process.
-        still = "For how long the oldest job of a lane has not moved."
+        still = "Time for which the oldest job of a lane has made no progress."
         self.lane_still = Gauge("drape_lane_still_seconds", still, ["lane"], registry=registry)
-        self.loop_lag = gauge("loop_lag_seconds", "How late the event loop last came round.")
-        self.loop_held = histogram(
-            "loop_held_seconds", "Steps on the event loop of a millisecond or more.", SECONDS, "cause", "state"
-        )
+        self.loop_lag = gauge("loop_lag_seconds", "How late the last tick of the event loop was.")
+        steps = "Duration of steps on the event loop of a millisecond or more."
+        self.loop_held = histogram("loop_held_seconds", steps, SECONDS, "cause", "state")
         registry.register(_DroppedLines())
 
     def watch(self, **gauges: Callable[[], float]) -> None:
-        """Makes the gauges of these names read their values from these functions from now on."""
+        """Makes gauges read their values from functions from now on; the names of ``gauges`` are those of
+        attributes."""
         for name, function in gauges.items():
             getattr(self, name).set_function(function)
 
-    def sent(self, age_s: float, deadline_s: float) -> None:
-        """Counts a frame that left ``age_s`` after its pose came."""
+    def count_sent(self, age_s: float, deadline_s: float) -> None:
+        """Counts a frame of a stream that was sent ``age_s`` [s] after its pose came; on time up to ``deadline_s``
+        [s]."""
         self.frames_sent.inc()
         self.frame_age.observe(age_s)
         if age_s <= deadline_s:
             self.frames_on_time.inc()
 
-    def drawn(self, pushed_share: np.ndarray, push_max_m: np.ndarray, left_m: np.ndarray, resets: np.ndarray) -> None:
-        """Counts draped frames by what was done to each; all arrays are (F,)."""
+    def count_drawn(
+        self, pushed_share: np.ndarray, push_max_m: np.ndarray, left_m: np.ndarray, resets: np.ndarray
+    ) -> None:
+        """Counts F draped frames. All arrays are (F,): the share of vertices that the push-out moved, in [0, 1]; the
+        farthest that it moved one [m]; the most that jets fall short of it [m]; the layers whose folds began anew."""
         self.frames.inc(len(pushed_share))
         self.folds_resets.inc(float(resets.sum()))
         for series, values in (
@@ -108,12 +116,13 @@ class Metrics:
                 series.observe(float(value))
 
     def pieces(self) -> Iterator[bytes]:
-        """All series, as ``MEDIA_TYPE``, a family at a time: together they take ten milliseconds."""
+        """Yields the text of all series in the format ``MEDIA_TYPE``, one family at a time, because all together take
+        ten milliseconds."""
         for family in self.registry.collect():
             yield generate_latest(cast("CollectorRegistry", SimpleNamespace(collect=[family].copy)))
 
     def text(self) -> bytes:
-        """All ``pieces`` joined: the page that Prometheus reads."""
+        """Returns the text of all series in the format ``MEDIA_TYPE``."""
         return b"".join(self.pieces())
 
 

@@ -1,8 +1,8 @@
-"""Spans of requests, streams' frames and uploads for OpenTelemetry, where ``DRAPE_TRACE`` asks for them: ``Tracing``.
+"""Spans of requests, streams' frames and uploads for OpenTelemetry, if ``DRAPE_TRACE`` asks for them: ``Tracing``.
 
 The collector, the share of traces and the name of the service come from OpenTelemetry's own variables
-(``OTEL_EXPORTER_OTLP_ENDPOINT``, ``OTEL_TRACES_SAMPLER``, ``OTEL_SERVICE_NAME`` and others), read by its SDK, which is
-loaded only then. A span never has headers, query strings, bodies or addresses, as no log line has.
+(``OTEL_EXPORTER_OTLP_ENDPOINT``, ``OTEL_TRACES_SAMPLER``, ``OTEL_SERVICE_NAME`` and others). Its SDK reads them, and is
+imported only with tracing. A span never has headers, query strings, bodies or addresses.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from opentelemetry.sdk.trace import TracerProvider
     from opentelemetry.trace import Link, Span
 
-CLOSE_S = 2.0  # for spans that are not sent yet; a collector that does not answer must not hold the service's end
-ERROR_STATUS = 500  # from here on a status is a fault of ours
+CLOSE_S = 2.0  # the time for the last spans, as a collector that does not answer must not delay the service's end
+ERROR_STATUS = 500  # a status from here on is a fault of ours
 
 
 class Tracing:
-    """The spans of one service, sent through ``provider``; None: nobody asked, and every method does nothing.
+    """Makes the spans of one service and sends them through ``provider``. Where that is None all methods do nothing.
 
-    Every method may be called from any thread. A span's parent is what runs in the caller's context
-    (``contextvars``): hand work to other threads in a copy of it.
+    Any thread may call the methods. The parent of a span is the span of the caller's context (``contextvars``), so work
+    for other threads must run in a copy of it.
     """
 
     def __init__(self, provider: TracerProvider | None = None) -> None:
@@ -38,13 +38,11 @@ class Tracing:
         self.on = self._tracer is not None
 
     @contextmanager
-    def request(self, method: str, headers: Mapping[str, str], request: str) -> Iterator[Answered]:
-        """Traces a request while the block runs, under the ``traceparent`` of its ``headers`` if they have one.
-
-        It yields the ``Answered`` that is told the status. ``request``: the id that log lines give it.
-        """
+    def request(self, method: str, headers: Mapping[str, str], request: str) -> Iterator[RequestSpan]:
+        """Traces a request while the block runs, under the ``traceparent`` of its ``headers`` if there is one.
+        ``request`` is its id in log lines. Yields its ``RequestSpan``."""
         if self._tracer is None:
-            yield Answered(None)
+            yield RequestSpan(None)
             return
         from opentelemetry.trace import SpanKind
         from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
@@ -59,22 +57,26 @@ class Tracing:
             record_exception=False,
             set_status_on_exception=False,
         ) as span:
-            yield Answered(span)
+            yield RequestSpan(span)
 
     @contextmanager
     def work(self, name: str, links: Sequence[Link | None] = (), **attributes: str | int | float) -> Iterator[None]:
-        """Traces work that is done for others than its caller: a trace of its own, with ``links`` (``here``) to theirs.
-        If it fails, its span holds only the class of the error."""
+        """Traces work for several requests while the block runs, as a trace of its own called ``name`` with ``links``
+        to the spans of the requests (``here``). A failure is noted with only the class of the error."""
         if self._tracer is None:
             yield
             return
         from opentelemetry.context import Context
         from opentelemetry.trace import StatusCode
 
-        found = [link for link in links if link is not None]
         named = {f"drape.{key}": value for key, value in attributes.items()}
         with self._tracer.start_as_current_span(
-            name, Context(), attributes=named, links=found, record_exception=False, set_status_on_exception=False
+            name,
+            Context(),
+            attributes=named,
+            links=[link for link in links if link is not None],
+            record_exception=False,
+            set_status_on_exception=False,
         ) as span:
             try:
                 yield
@@ -83,7 +85,7 @@ class Tracing:
                 raise
 
     def here(self) -> Link | None:
-        """A link to the span that runs in the caller's context; None where there is none."""
+        """Returns a link to the span of the caller's context; None if there is none."""
         if self._tracer is None:
             return None
         from opentelemetry.trace import Link, get_current_span
@@ -92,36 +94,36 @@ class Tracing:
         return Link(context) if context.is_valid else None
 
     def event(self, name: str) -> None:
-        """Notes that something happened in the span that runs in the caller's context."""
+        """Adds an event called ``name`` to the span of the caller's context."""
         if self._tracer is not None:
             from opentelemetry.trace import get_current_span
 
             get_current_span().add_event(name)
 
     def stage(self, name: str, took_s: float) -> None:
-        """A stage that ends now, ``took_s`` [s] of computing after its beginning: where others had their turn between
-        its steps, the span is as long as the steps and begins too late."""
+        """Adds a span for the stage ``name``, which ends now and took ``took_s`` [s]. Where other work came between
+        steps of the stage, that time is not in ``took_s``, and the span begins too late."""
         if self._tracer is None:
             return
         now_ns = time.time_ns()
         self._tracer.start_span(name, start_time=now_ns - round(1e9 * took_s)).end(now_ns)
 
     def close(self) -> None:
-        """Sends what is not sent yet, for ``CLOSE_S`` at most."""
+        """Sends the spans that are not sent yet, within ``CLOSE_S``."""
         if self._provider is not None:
             last = threading.Thread(target=self._provider.shutdown, name="drape-spans", daemon=True)
             last.start()
             last.join(CLOSE_S)
 
 
-class Answered:
-    """The open span of a request; ``told`` names it by how the request was answered."""
+class RequestSpan:
+    """The open span of a request, or nothing without tracing."""
 
     def __init__(self, span: Span | None) -> None:
         self._span = span
 
-    def told(self, method: str, path: str, status: int) -> None:
-        """Names the span by ``method`` and ``path``, which has its parameters' names, and notes the ``status``."""
+    def note_answer(self, method: str, path: str, status: int) -> None:
+        """Names the span by ``method`` and ``path`` (``logged_path``), and notes the ``status`` of the answer."""
         if self._span is None:
             return
         from opentelemetry.trace import StatusCode
@@ -133,8 +135,8 @@ class Answered:
 
 
 def make_tracing(trace: bool) -> Tracing:
-    """Tracing as OpenTelemetry's variables say where ``trace`` asks for it; refuses (``Unavailable``) without its
-    packages."""
+    """Returns tracing as OpenTelemetry's variables configure it, or one that does nothing if ``trace`` is false.
+    Refuses (``Unavailable``) where its packages are missing."""
     if not trace:
         return Tracing()
     try:

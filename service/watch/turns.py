@@ -1,7 +1,7 @@
-"""What holds the event loop, by cause: ``LoopWatch``.
+"""Measures what keeps the event loop busy, by cause: ``LoopWatch``.
 
-While the loop runs one step of one task, every stream waits. A step of a request is caused by its path, another by the
-function of its task. Python's collector stops all threads, in whichever it begins.
+While the loop runs one step of one task, every stream waits. The cause of a step of a request is its path, that of
+another step the function of its task. Python's collector stops all threads, whichever one it begins in.
 """
 
 from __future__ import annotations
@@ -17,14 +17,16 @@ from typing import Any, cast
 from service.watch.logs import ASKER, logged_path
 from service.watch.prometheus import Metrics
 
-BRIEF_S = 1e-3  # shorter ones are not counted
+BRIEF_S = 1e-3  # shorter steps are not counted
 COLLECTOR = "collector"
 
 
 class LoopWatch:
-    """Counts in ``Metrics.loop_held`` the steps and collections that hold the loop for ``BRIEF_S`` or longer.
+    """Counts in ``Metrics.loop_held`` the steps and collections that keep the event loop busy for ``BRIEF_S`` or
+    longer.
 
-    ``ran`` is their time on a processor. ``waited`` is the rest: for Python's lock, a processor or a disk.
+    The state ``ran`` is their time on a processor. ``waited`` is the rest: for the interpreter lock, a processor or a
+    disk.
     """
 
     def __init__(self, metrics: Metrics) -> None:
@@ -33,7 +35,7 @@ class LoopWatch:
 
     @contextmanager
     def watching(self) -> Iterator[None]:
-        """Watches the running loop and the collector."""
+        """Measures the steps of the running event loop, and the collector, while the block runs."""
         loop = asyncio.get_running_loop()
         make: Any = lambda loop, work, **named: asyncio.Task(cast(Any, _Steps(work, self)), loop=loop, **named)  # noqa: E731
         loop.set_task_factory(make)
@@ -45,20 +47,22 @@ class LoopWatch:
             loop.set_task_factory(None)
 
     def _collected(self, phase: str, _: dict[str, int]) -> None:
-        # It may come while a series is locked, so that nothing is counted here.
+        # A collection may begin while a series is locked, so it must not be counted here.
         if phase == "start":
             self._begun_s = time.perf_counter()
         elif (took_s := time.perf_counter() - self._begun_s) >= BRIEF_S:
             self._pauses_s.append(took_s)
 
     def late(self, lag_s: float) -> None:
-        """Tells that the loop came round ``lag_s`` late, and counts the collector's pauses."""
+        """Notes that the last tick of the loop was ``lag_s`` [s] late, and counts the collections since the last
+        call."""
         self._metrics.loop_lag.set(lag_s)
         while self._pauses_s:
             self._metrics.loop_held.labels(COLLECTOR, "ran").observe(self._pauses_s.popleft())
 
-    def held(self, function: str, took_s: float, ran_s: float) -> None:
-        """Counts a step of a task of ``function``, which took ``took_s`` and was on a processor for ``ran_s``."""
+    def count_step(self, function: str, took_s: float, ran_s: float) -> None:
+        """Counts a step of a task that runs ``function``: it took ``took_s`` [s], of which ``ran_s`` [s] on a
+        processor."""
         asker = ASKER.get()
         cause = function if asker is None else logged_path(asker.scope)
         for state, time_s in (("ran", ran_s), ("waited", took_s - ran_s)):
@@ -67,7 +71,7 @@ class LoopWatch:
 
 
 class _Steps:
-    """A task's ``work`` whose steps are timed; otherwise it."""
+    """The coroutine ``work`` of a task, each step of which is timed. All else is that of ``work``."""
 
     def __init__(self, work: Any, watch: LoopWatch) -> None:
         self._work, self._watch = work, watch
@@ -87,7 +91,7 @@ class _Steps:
             return step(*given)
         finally:
             if (took_s := time.perf_counter() - begun_s) >= BRIEF_S:
-                self._watch.held(getattr(self._work, "__qualname__", "task"), took_s, time.thread_time() - ran_s)
+                self._watch.count_step(getattr(self._work, "__qualname__", "task"), took_s, time.thread_time() - ran_s)
 
 
-Coroutine.register(_Steps)  # pyright: ignore[reportAttributeAccessIssue]  # a task takes nothing else
+Coroutine.register(_Steps)  # pyright: ignore[reportAttributeAccessIssue]  # a task takes only coroutines

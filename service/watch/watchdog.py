@@ -1,8 +1,8 @@
-"""Whether what runs still moves, and the end of a process in which something does not: ``Watchdog``.
+"""Finds jobs that make no progress, and ends a process that does not end: ``Watchdog``.
 
-A ``WatchedJob`` is a call on the thread of a ``ThreadLane``, or what a process of the service computes. It moves when
-it says so (``say_moved``: a step of a chunk, a frame). One that has said nothing yet moves while its thread, or the
-process that it waits for, takes processor time.
+A ``WatchedJob`` is a call on a thread of a ``ThreadLane``, or the work of a process of the service. A job moves, that
+is makes progress, when it calls ``say_moved`` (at a step of a chunk, a frame). One that has not called it yet moves
+while its thread, or the process that it waits for, takes processor time.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from typing import Any
 from service.watch.probes import TICK_S, Lifecycle
 from service.watch.prometheus import Metrics
 
-SHARE = 0.01  # of a processor, below which a silent job only waits
-MOST_S = 300.0  # that a thread may compute and say nothing
-LAST_S = 1.0  # before the end by the kernel: for the log, and for processes of the service
+SHARE = 0.01  # the share of a processor below which a silent job counts as waiting
+MOST_S = 300.0  # the longest that a thread may compute without ``say_moved``
+LAST_S = 1.0  # the time before the kernel ends the process, for the log and to kill its processes
 _here, _armed = threading.local(), threading.Event()
 log = logging.getLogger("drape.service")
 
 
 def spent_s(number: int, *, thread: bool = False) -> float:
-    """Processor time [s] of a process, or of a thread of this one, by the clock that Linux has for it. Where there is
-    none, or what it counted has ended, a time that always moves."""
+    """Returns the processor time [s] of the process ``number``, or of the ``thread`` of this process with that number,
+    by Linux's clock of it. Where there is no such clock, returns the monotonic time [s], as if it always computed."""
     try:
         return time.clock_gettime((~number << 3) | (6 if thread else 2))
     except OSError:
@@ -44,9 +44,9 @@ def spent_s(number: int, *, thread: bool = False) -> float:
 
 @dataclass(eq=False)
 class WatchedJob:
-    """A running job of a ``lane``. ``clocks`` return the processor time [s] that it takes; ``thread`` is the one whose
-    stack is told.
-    """
+    """A running job of a ``lane``. ``clocks`` return the processor time [s] that it has taken; ``thread`` is its
+    thread's id, 0 for a process. ``moved_s`` [s, monotonic] is when it last moved; ``silent``: it has not called
+    ``say_moved``, so processor time counts."""
 
     lane: str
     clocks: list[Callable[[], float]]
@@ -58,7 +58,7 @@ class WatchedJob:
         self._spent_s, self._begun_s = sum(clock() for clock in self.clocks), self.moved_s
 
     def look(self, now_s: float) -> float:
-        """Returns for how long [s] the job has not moved."""
+        """Notes whether the job has moved since the last look. Returns how long [s] before ``now_s`` it last moved."""
         spent = sum(clock() for clock in self.clocks)
         endless = self.thread and now_s - self._begun_s > MOST_S
         if self.silent and not endless and abs(spent - self._spent_s) > SHARE * (now_s - self.moved_s):
@@ -66,31 +66,33 @@ class WatchedJob:
         return now_s - self.moved_s
 
     def stack(self) -> list[traceback.FrameSummary]:
-        """Returns the stack of the job's thread; an empty one for a process."""
+        """Returns the stack of the job's thread, the innermost call last; empty for a process."""
         frame = sys._current_frames().get(self.thread)
         return [] if frame is None else traceback.extract_stack(frame)
 
 
 JOBS: set[WatchedJob] = set()
-"""All that runs in this process, and in processes of it."""
+"""All jobs that run in this process and in processes that it has started."""
 
 
 def say_moved() -> None:
-    """Says that the job of this thread has moved; from then on it moves only where it says so."""
+    """Notes that the job of this thread has moved. From then on only calls of this function count as progress, and
+    processor time no longer does."""
     if (job := getattr(_here, "job", None)) is not None:
         job.moved_s, job.silent = time.monotonic(), False
 
 
 def waits_for(clock: Callable[[], float]) -> None:
-    """Says that the job of this thread moves with this ``clock`` too, that of a process."""
+    """Adds ``clock``, which returns the processor time [s] of a process, to those by which the job of this thread
+    moves."""
     if (job := getattr(_here, "job", None)) is not None:
         job.clocks.append(clock)
 
 
 class ThreadLane(ThreadPoolExecutor):
-    """A pool of threads, each of whose calls is a job of the lane ``name`` that the watchdog looks at.
+    """A pool of ``threads`` threads. Each of its calls is a job of the lane ``name``, at which the watchdog looks.
 
-    In a ``brief`` lane a call is expected to end soon: taking processor time does not count as moving.
+    Calls of a ``brief`` lane are expected to end soon, so processor time does not count as progress.
     """
 
     def __init__(self, name: str, threads: int | None = None, *, brief: bool = False, **more: Any) -> None:
@@ -111,17 +113,21 @@ class ThreadLane(ThreadPoolExecutor):
 
 
 class Watchdog:
-    """A thread that looks at all jobs. Those that have not moved for ``stuck_s`` are told in the log with their stack,
-    their lane to ``life`` and ``metrics``. ``kill`` ends the processes of the service. Made on the loop's thread."""
+    """A thread that looks at all jobs, and notes in ``life`` and ``metrics`` how long the oldest of each lane has not
+    moved. A job that has not moved for ``stuck_s`` [s] is logged with its stack. ``kill`` ends the processes of the
+    service.
+
+    It is made on the thread of the event loop.
+    """
 
     def __init__(self, life: Lifecycle, metrics: Metrics, *, stuck_s: float, kill: Callable[[], None]) -> None:
         self._life, self._metrics, self._stuck_s, self._kill = life, metrics, stuck_s, kill
         self._loop = WatchedJob("event loop", [], threading.get_ident())
-        self._stopped, self._told = threading.Event(), set[WatchedJob]()
+        self._stopped, self._reported = threading.Event(), set[WatchedJob]()
         threading.Thread(target=self._watch, name="drape-watchdog", daemon=True).start()
 
     def stop(self) -> None:
-        """Looks at no job any more; a process that was told to end is still ended."""
+        """Ends the looks at jobs. A process that was told to end is ended by it nevertheless."""
         self._stopped.set()
 
     def _watch(self) -> None:
@@ -143,30 +149,31 @@ class Watchdog:
             still[job.lane] = max(still.get(job.lane, 0.0), now_s - job.moved_s)
         for lane, waited_s in still.items():
             self._metrics.lane_still.labels(lane).set(waited_s)
-        self._life.still = still  # who sees it there finds it in the metrics
-        before, self._told = self._told, {job for job in jobs if now_s - job.moved_s > self._stuck_s}
-        for job in self._told - before:  # last: a log may keep who writes it waiting
+        self._life.still = still  # after the metrics, so that a probe that fails finds the reason there
+        before, self._reported = self._reported, {job for job in jobs if now_s - job.moved_s > self._stuck_s}
+        for job in self._reported - before:  # at last, because writing a log may have to wait
             stack = "".join(traceback.format_list(job.stack())) or "It is a process of its own.\n"
             log.error("%s: a job has not moved for %.1f s\n%s", job.lane, now_s - job.moved_s, stack)
 
 
 def end_when_told() -> None:
-    """Lets SIGTERM end this process within 15 s, 5 after its drain, whatever hangs; ``told_to_end`` sees it.
+    """Makes SIGTERM end this process within 15 s, that is 5 s after its drain, whatever hangs. ``told_to_end`` is true
+    from the signal on.
 
-    A handler of Python waits for the main thread and for the interpreter lock. These are functions of C, which get the
-    signal's number: ``alarm(15)`` of SIGTERM and, after all stacks, ``_exit(14)`` of the alarm, as nothing else ends a
-    process with the number 1, that of a container.
+    A handler in Python would wait for the main thread and for the interpreter lock. So the handlers are C functions,
+    which get the signal's number: SIGTERM (15) calls ``alarm(15)``, and the alarm (14) calls ``_exit(14)`` after all
+    stacks are written. Nothing else ends a process with the number 1, as that of a container.
     """
     libc = ctypes.CDLL(None)
     libc.signal.argtypes, libc.signal.restype = (ctypes.c_int, ctypes.c_void_p), ctypes.c_void_p
     libc.signal(signal.SIGALRM, ctypes.cast(libc._exit, ctypes.c_void_p))
     libc.signal(signal.SIGTERM, ctypes.cast(libc.alarm, ctypes.c_void_p))
-    with contextlib.suppress(OSError):  # of a socket; a pipe that nobody reads must not hold the end
+    with contextlib.suppress(OSError):  # a socket cannot be opened; a pipe without a reader must not delay the end
         errors = os.open("/proc/self/fd/2", os.O_WRONLY | os.O_NONBLOCK | os.O_APPEND)
         faulthandler.register(signal.SIGALRM, file=errors, chain=True)
     _armed.set()
 
 
 def told_to_end() -> bool:
-    """Whether this process has been told to end, since ``end_when_told``."""
+    """Returns whether this process got SIGTERM, or Ctrl-C, since ``end_when_told`` was called."""
     return _armed.is_set() and signal.getitimer(signal.ITIMER_REAL)[0] > 0.0

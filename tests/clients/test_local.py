@@ -23,7 +23,7 @@ from drape.body.pose_distance import read_pose_support
 from drape.errors import InputError, Unavailable
 from drape.graph.packing import pack_body
 from drape.wire.messages import Pose, pack_pose
-from service.static.site import Asked, network_sizes
+from service.static.site import FolderRequest, folder_sizes
 from tests.clients.browser import open_page
 from tests.clients.node import answer_of
 from tests.clients.test_folds import FIRST, FIRST_MM, MOST_MM, shirt
@@ -112,8 +112,8 @@ def folder(shirt: Worn, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (target.parent / "other/file").touch()
     try:
         with pytest.raises(InputError, match="a new folder"):
-            write_static(shirt.runtime, Asked("tshirt", ("walk",)), target.parent / "other")
-        write_static(shirt.runtime, Asked("tshirt", ("walk",)), target)
+            write_static(shirt.runtime, FolderRequest("tshirt", ("walk",)), target.parent / "other")
+        write_static(shirt.runtime, FolderRequest("tshirt", ("walk",)), target)
     except Unavailable as missing:
         pytest.skip(str(missing))
     return target
@@ -128,7 +128,7 @@ def served(shirt: Worn) -> np.ndarray:
 def test_a_folder_is_small_and_drapes_as_the_service_does(
     served: np.ndarray, shirt: Worn, folder: Path, tmp_path: Path
 ):
-    found = network_sizes(folder)
+    found = folder_sizes(folder)
     assert sum(found.values()) < FOLDER_BYTES
     assert found["engine.wasm.gz"] < ENGINE_BYTES
     copied = shutil.copytree(folder, tmp_path / "copied")

@@ -24,7 +24,7 @@ from service.compute.threads import ComputeThreads
 from service.errors import Busy, Draining
 from service.guard.access import Access
 from service.settings import Settings
-from service.uploads.accepted import Accepted, staging_folder, taken_over
+from service.uploads.accepted import Accepted, staging_folder, take_over
 from service.uploads.jobs import MOST_ATTEMPTS
 from tests.fixtures.patience import PATIENT_S, ended_job
 from tests.fixtures.serving import files_in, process, serve, served
@@ -90,7 +90,7 @@ def test_uploads_of_ended_processes_are_taken_over_in_their_order(tmp_path: Path
     os.utime(before / "early/early.obj", (1.0, 1.0))
     (theirs / "half").mkdir()
     (theirs / "half/half.obj").write_bytes(b"v")
-    assert list(taken_over(tmp_path, own)) == [(first, own / "early"), (second, own / "late")]
+    assert list(take_over(tmp_path, own)) == [(first, own / "early"), (second, own / "late")]
     assert sorted(path.name for path in own.rglob("*")) == [
         "early",
         "early.obj",

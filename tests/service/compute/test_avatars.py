@@ -69,7 +69,7 @@ def test_what_is_done_with_avatars_in_one_service_the_other_takes_over(
     before = there.dress(entry.id, tube)
     there.follow()
     assert there.dress(entry.id, tube) is before, "nothing changed"
-    here.replaced(entry, save_wearer(replace(wearers[0], median_mm=3.0), tmp_path))
+    here.replace(entry, save_wearer(replace(wearers[0], median_mm=3.0), tmp_path))
     there.follow()
     assert there.get(entry.id, "alice").facts.fit["median_mm"] == 3.0 and there.wearer(entry.id).median_mm == 3.0
     assert not there.worn or there.dress(entry.id, tube) is not before
@@ -157,7 +157,7 @@ def test_own_clothes_count_among_the_layers(
             me = add(avatars, replace(bare_wearer(), name="me"), tmp_path, None)
             with pytest.raises(InputError, match="expected doll, who came in doll~top, got me"):
                 avatars.dress(me.id, avatars.with_own(entry.id, None))
-            with pytest.raises(NotFound, match="clothes of its own that are cloth"):
+            with pytest.raises(NotFound, match="an avatar with garments of its own"):
                 avatars.with_own(me.id, None)
             assert [one.id for one in avatars.with_own(entry.id, scene).layers] == ["shorts", "doll~top"]
             return

@@ -115,7 +115,7 @@ def test_a_process_hears_all_and_is_killed_with_its_block_and_its_children(tmp_p
 
     async def heard() -> tuple[int, int]:
         write = partial(_write, bytes(3_000_000))
-        async with processes.running("test", module, write=write, folder=tmp_path) as (process, said):
+        async with processes.run_process("test", module, write=write, folder=tmp_path) as (process, said):
             assert int(await said.readline()) == 3_000_000, "more than a pipe holds"
             return int(await said.readline()), process.pid
 

@@ -185,7 +185,7 @@ def test_a_frame_that_takes_too_long_ends_the_job_in_words(make_settings: Callab
         where = http.post("/drape", json=ASKED).headers["Location"]
         job = ended_job(http, where)
         assert job["state"] == "failed" and "frame 0" in job["problem"]["name"]
-        assert job["problem"]["cure"] == "Leave the pose out."
+        assert job["problem"]["cure"] == "Leave this frame's pose out."
         with pytest.raises(DrapeError, match=r"within 0\.05 s"), DrapeClient(url) as client:
             client.exact("tube", POSES, more={"job": where.rpartition("/")[2]})
     folder = settings.garments_dir / on_disk.FOLDER / where.rpartition("/")[2]
@@ -238,7 +238,7 @@ def test_what_a_process_says_at_its_end_is_raised(make_settings: Callable[..., S
         monkeypatch.setenv("PYTHONPATH", str(tmp_path))
         some = np.zeros(1)
         block = FrameBlock(None, None, None, some, some, tmp_path, some, some)  # pyright: ignore[reportArgumentType]
-        asyncio.run(clips._computed(job, block))
+        asyncio.run(clips._compute(job, block))
 
     said = {"name": "disk", "expected": "room for a frame", "got": "No space left", "cure": "Make room, and ask again."}
     for kind in (Unavailable, MotionError):

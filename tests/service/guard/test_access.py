@@ -157,7 +157,7 @@ def test_tickets_end_and_are_of_one_secret():
 def test_a_ticket_of_a_key_that_is_gone_is_refused(guarded: Settings):
     access = Access(guarded)
     ticket = access.tickets.make("former")
-    with pytest.raises(Unauthorized, match="a key that is gone"):
+    with pytest.raises(Unauthorized, match="a key that no longer exists"):
         access.admit(httpx_headers(f"Bearer {ticket}"))
 
 

@@ -83,7 +83,7 @@ def test_other_work_comes_between_pieces_and_two_are_never_done_at_once():
         at_work -= 1
 
     async def long(name: str, done: list[str]) -> None:
-        async for _ in sliced_thread.each(work() for _ in range(50)):
+        async for _ in sliced_thread.run_pieces(work() for _ in range(50)):
             done.append(name)
 
     async def both() -> list[str]:
@@ -103,10 +103,10 @@ def test_no_piece_begins_while_a_frame_is_computed():
 
     async def held() -> None:
         async def pieces() -> None:
-            async for piece in sliced_thread.each(iter(range(9))):
+            async for piece in sliced_thread.run_pieces(iter(range(9))):
                 done.append(piece)
 
-        with sliced_thread.held():
+        with sliced_thread.hold_back():
             task = asyncio.create_task(pieces())
             await asyncio.sleep(0.05)
             assert done == []
@@ -123,9 +123,12 @@ def test_a_frame_that_hangs_keeps_neither_pieces_nor_clips(monkeypatch: pytest.M
     compute = threads.ComputeThreads(stream_threads=1, chunk_frames=8, clip_wait_s=1.0)
 
     async def beside() -> tuple[list[int], str]:
-        with sliced_thread.held():
+        with sliced_thread.hold_back():
             hangs = asyncio.create_task(compute.for_streams(let_go.wait))
-            found = [piece async for piece in sliced_thread.each(iter(range(9)))], await compute.aside(lambda: "a step")
+            found = (
+                [piece async for piece in sliced_thread.run_pieces(iter(range(9)))],
+                await compute.aside(lambda: "a step"),
+            )
             let_go.set()
             await hangs
         return found

@@ -93,7 +93,7 @@ def test_a_clip_is_placed_for_its_legs(api: httpx.Client, avatar: str):
         ({"avatar": "me", "rig_poses": [[[0, 0, 0, 1]]] * 41}, "at most 40 frames"),
         ({"rig_poses": [[[0, 0, 0, 1]]]}, "a value"),
         ({"avatar": "me", "poses": POSES.tolist(), "rig": True}, "Accept: model/gltf-binary"),
-        ({"avatar": "me", "poses": POSES.tolist(), "joints": 6}, "rig: true with it"),
+        ({"avatar": "me", "poses": POSES.tolist(), "joints": 6}, "rig: true beside it"),
         ({}, "a value"),
     ],
 )

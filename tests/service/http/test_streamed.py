@@ -175,7 +175,7 @@ def test_pasts_are_private_few_and_short_lived(runtime: DrapeRuntime, monkeypatc
     for token, owner in ((tokens[0], "shop"), (tokens[2], "shop"), (tokens[1], None)):
         with pytest.raises(NotFound, match="past: expected one of the last 120 s, got one that is not kept"):
             kept.get(token, owner)
-    kept._kept[tokens[1]] = replace(kept._kept[tokens[1]], until_s=0.0)
+    kept._entries[tokens[1]] = replace(kept._entries[tokens[1]], until_s=0.0)
     with pytest.raises(NotFound):
         kept.get(tokens[1], "shop")
     assert kept.get(tokens[3], "shop").frames == 4

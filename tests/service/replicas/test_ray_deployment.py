@@ -329,16 +329,16 @@ def test_ages_are_those_of_the_last_seconds():
     ages = FrameAges(metrics.frame_age)
     assert ages.p99_s(0.0) == 0.0
     for _ in range(1000):
-        metrics.sent(0.02, DEADLINE_S)
+        metrics.count_sent(0.02, DEADLINE_S)
     calm = ages.p99_s(1.0)
     assert 0.016 < calm <= 0.033
     for _ in range(20):
-        metrics.sent(0.15, DEADLINE_S)
+        metrics.count_sent(0.15, DEADLINE_S)
     assert 0.1 < ages.p99_s(2.0) <= 0.2
     assert ages.p99_s(2.0 + WINDOW_S) == 0.0
-    metrics.sent(0.02, DEADLINE_S)
+    metrics.count_sent(0.02, DEADLINE_S)
     assert 0.016 < ages.p99_s(3.0 + WINDOW_S) <= 0.033
-    metrics.sent(100.0, DEADLINE_S)
+    metrics.count_sent(100.0, DEADLINE_S)
     assert ages.p99_s(4.0 + WINDOW_S) == 60.0
 
 

@@ -338,7 +338,7 @@ def test_a_body_at_rest_needs_no_thread(runtime: DrapeRuntime, plan: Plan):
     one = PoseInput(
         POSES[:1], TRANS[:1], stream.betas, np.array([stream.time_s + STEP_S]), stream.memories, sequence=9, dropped=0
     )
-    with patch.object(runtime, "_computed", side_effect=AssertionError):
+    with patch.object(runtime, "_compute", side_effect=AssertionError):
         ((again, _),) = asyncio.run(runtime.stream_frames(plan, [one]))
     assert isinstance(again, bytes)
     assert wire.unpack_frame(again).sequence == 9

@@ -121,7 +121,7 @@ def test_nothing_aside_begins_while_a_frame_is_computed(
     runtime = make_runtime()
     plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
     through, begun = threading.Event(), threading.Event()
-    monkeypatch.setattr(runtime, "_computed", lambda plan, inputs: through.wait() and [(b"", {})])
+    monkeypatch.setattr(runtime, "_compute", lambda plan, inputs: through.wait() and [(b"", {})])
 
     async def both() -> None:
         frame = asyncio.create_task(runtime.stream_frames(plan, [rest_input()]))
@@ -198,16 +198,16 @@ def test_streams_are_computed_beside_each_other_and_each_frame_after_the_one_bef
         stage.prepare(plan)
     alone, expected = {}, []
     for i in range(4):
-        ((message, alone),) = runtime._computed(plan, [(rest_input(i, alone), None)])
+        ((message, alone),) = runtime._compute(plan, [(rest_input(i, alone), None)])
         assert isinstance(message, bytes)
         expected.append(wire.unpack_frame(message).positions)
-    both, compute = threading.Barrier(2), runtime._computed
+    both, compute = threading.Barrier(2), runtime._compute
 
     def together(*arguments: Any) -> Any:
         both.wait(30.0)  # until the other stream's frame is computed too
         return compute(*arguments)
 
-    monkeypatch.setattr(runtime, "_computed", together)
+    monkeypatch.setattr(runtime, "_compute", together)
     streams = Streams(runtime, SlicedThread())
     sessions = [StreamSession(plan, np.zeros(10), credit=2) for _ in range(2)]
 

@@ -25,7 +25,7 @@ from service.app import create_app
 from service.compute import garment_files
 from service.settings import Settings
 from service.uploads import accepted, job_records
-from service.uploads.accepted import CANCEL, Accepted, elsewhere, staging_folder, taken_over, touch
+from service.uploads.accepted import CANCEL, Accepted, find_elsewhere, staging_folder, take_over, touch
 from service.uploads.job_records import JobRecord
 from tests.fixtures.characters import bare_wearer
 from tests.fixtures.garments import tube_garment
@@ -236,16 +236,16 @@ def test_uploads_of_another_host_are_taken_over_when_nothing_is_heard_of_it(tmp_
     (far / upload.id).mkdir(parents=True)
     (far / upload.id / upload.file).write_bytes(b"v 0 0 0")
     upload.write(far / upload.id)
-    assert elsewhere(tmp_path, own, upload.id) == (upload, far / upload.id)
-    assert list(taken_over(tmp_path, own, shared=True)) == []
+    assert find_elsewhere(tmp_path, own, upload.id) == (upload, far / upload.id)
+    assert list(take_over(tmp_path, own, shared=True)) == []
     old_s = time.time() - accepted.SILENT_S - 1.0
     os.utime(far, (old_s, old_s))
     touch(far)
-    assert list(taken_over(tmp_path, own, shared=True)) == []
+    assert list(take_over(tmp_path, own, shared=True)) == []
     os.utime(far, (old_s, old_s))
-    assert list(taken_over(tmp_path, own, shared=True)) == [(upload, own / upload.id)]
-    assert not far.exists() and elsewhere(tmp_path, own, upload.id) is None
-    assert list(taken_over(tmp_path, staging_folder(tmp_path), shared=True)) == []  # that service runs
+    assert list(take_over(tmp_path, own, shared=True)) == [(upload, own / upload.id)]
+    assert not far.exists() and find_elsewhere(tmp_path, own, upload.id) is None
+    assert list(take_over(tmp_path, staging_folder(tmp_path), shared=True)) == []  # that service runs
 
 
 def test_a_service_goes_on_with_what_another_that_ended_had_accepted(

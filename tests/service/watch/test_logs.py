@@ -276,7 +276,7 @@ def test_the_sdks_own_variables_choose(collector: Collector, monkeypatch: pytest
     monkeypatch.setenv("OTEL_SERVICE_NAME", "fitting-room")
     tracing = make_tracing(True)
     with tracing.request("GET", {}, "a") as answered:
-        answered.told("GET", "/health", 500)
+        answered.note_answer("GET", "/health", 500)
     tracing.close()
     (span,) = collector.spans
     assert collector.resource["service.name"] == "fitting-room" and span.status.code == Status.STATUS_CODE_ERROR
@@ -317,7 +317,7 @@ tracing = make_tracing(False)
 with tracing.request("GET", {}, "a") as answered, tracing.work("frames", [tracing.here()]):
     tracing.stage("network", 0.1)
     tracing.event("fit")
-    answered.told("GET", "/health", 200)
+    answered.note_answer("GET", "/health", 200)
 tracing.close()
 assert not tracing.on and tracing.here() is None
 assert not [name for name in sys.modules if name.startswith(("opentelemetry.sdk", "opentelemetry.exporter"))]

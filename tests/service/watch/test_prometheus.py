@@ -98,7 +98,7 @@ def test_a_stream_and_a_clip_are_counted(live: str):
 def test_frames_on_time_are_those_within_the_deadline():
     metrics = Metrics()
     for age_s in (0.01, 0.05, 0.2):
-        metrics.sent(age_s, deadline_s=0.05)
+        metrics.count_sent(age_s, deadline_s=0.05)
     text = metrics.text().decode()
     assert "drape_frames_sent_total 3.0" in text and "drape_frames_on_time_total 2.0" in text
 
