@@ -167,7 +167,8 @@ def dump(path: Path) -> None:
 
 
 def compare(old: Path, new: Path) -> int:
-    """Prints how each array of the files ``old`` and ``new`` of ``dump`` differs. Returns 1 if any array differs, else 0."""
+    """Prints how each array of the files ``old`` and ``new`` of ``dump`` differs. Returns 1 if any array differs, else
+    0."""
     with np.load(old) as first, np.load(new) as second:
         names = sorted({*first.files, *second.files})
         differs = 0

@@ -60,7 +60,7 @@ ROUTERS = (
     clip_routes.router,
 )
 
-MESHES_KEPT = 64  # of garments, bodies and motions, of some 50 kB
+MESHES_KEPT = 64  # the most meshes and motions in memory, of some 50 kB each
 
 
 def create_app(

@@ -22,8 +22,8 @@ from service.stream.routes import ABORT
 from service.watch.watchdog import end_when_told, told_to_end
 
 SEND_BUFFER_BYTES = 256 * 1024  # what the kernel may buffer for a slow reader
-MESSAGE_BYTES = 64 * 1024  # of a message from a client
-END_S = 14  # from the begin of the shutdown until the process is ended by force
+MESSAGE_BYTES = 64 * 1024  # the longest message from a client
+END_S = 14  # from the beginning of the shutdown until the process is ended by force
 LOOK_S = 0.25  # between two looks at whether the service should end
 
 
@@ -124,7 +124,7 @@ def make_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
             log_level="info",
             access_log=False,
             server_header=False,
-            log_config=None,  # as service.watch.logs has set it up
+            log_config=None,  # service.watch.logs has set up logging
             timeout_graceful_shutdown=5,
         )
     )

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from service.uploads.shared_folder import SharedFolder
     from service.watch.probes import Lifecycle
 
-HURRY_S = 3.0  # from the begin of a drain until running requests are refused
+HURRY_S = 3.0  # from the beginning of a drain until running requests are refused
 STREAMS_S = 2.0  # the time that a drain waits for streams to go
 
 

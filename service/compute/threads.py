@@ -56,7 +56,7 @@ class ComputeThreads:
         self._apart = ThreadLane("apart", APART)
         self._aside = ThreadLane("aside", 1, initializer=thread_steps_back)
         self.streamed_s = -math.inf  # when a frame of a stream was last begun
-        self._frame_done = asyncio.Event()  # of the streams' latest frame
+        self._frame_done = asyncio.Event()  # set once the latest frame of streams is computed
         self._frame_done.set()
         self.clip_turn = asyncio.Lock()  # one chunk waits for the thread at a time, however many clips there are
 

@@ -24,7 +24,7 @@ from service.guard.limits import STORED_PATHS
 if TYPE_CHECKING:
     from service.settings import Settings
 
-HEAD_BYTES = 64 * 1024  # of a request line and its headers
+HEAD_BYTES = 64 * 1024  # the longest request line with its headers
 HEAD_S = 10.0  # the time for the head of a request
 READ_S = 10.0  # the time in which a client must read some of an answer
 REST_S = 2.0  # the time for the rest of a body after its answer
