@@ -28,7 +28,7 @@ from drape.motion.clip import MotionClip, joint_steps
 from drape.motion.hard_poses import HardPoses
 from drape.motion.readers import read_motion
 
-MEASURED = 10  # frames of a clip that are looked at
+MEASURED = 10  # so many frames of a clip are measured
 FPS = 30.0
 LIMBS = [n for n, name in enumerate(JOINT_NAMES) if name.split("_")[-1] in ("shoulder", "elbow", "hip", "knee")]
 

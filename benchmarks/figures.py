@@ -16,7 +16,7 @@ from drape.stages.tiers import NAMES as TIER_NAMES
 
 Records = Mapping[str, Record]
 DEFAULT_TIER, GARMENT = "balanced", "tshirt"
-SPEED = "docs/records/performance.md"  # from README
+SPEED = "docs/records/performance.md"  # as README links to it
 NAMES = {"tshirt": "T-shirt", "dress": "dress", "trousers": "trousers"}
 
 
@@ -25,13 +25,13 @@ class Headline:
     """The three numbers of the default tier, gain, time of a frame and streams that a service carries, with the cores,
     the processor time of a pose [ms], the frames a second and the goodput of these streams."""
 
-    gain: float  # from skinning (0) to physics (1), mean over garments and clips
-    frame_ms: float  # of one core: a stream's frame in a program of its own, pose in, message out
-    streams: int  # that a service carries on ``cores``
+    gain: float  # 0 is skinning and 1 physics; the mean over garments and clips
+    frame_ms: float  # a stream's frame on one core in a program of its own, from pose to message
+    streams: int  # how many a service carries on ``cores``
     cores: int
-    pose_ms: float  # of the service's process, for each pose of so many streams
-    fps: float  # of each stream
-    goodput_pct: float  # of its poses, whose frames came in time
+    pose_ms: float  # processor time of the service for each pose of so many streams
+    fps: float  # poses a second of each stream
+    goodput_pct: float  # share of the poses whose frames came in time
 
 
 def headline(records: Records) -> Headline:

@@ -37,7 +37,7 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
 WARM, ROUNDS, PART = 8, 6, 8  # frames before the first that counts; turns of the two streams, and frames in each
-SENT_S = 60.0  # of streams beside an upload
+SENT_S = 60.0  # how long streams run beside an upload
 COLUMNS = {
     "garment": "s", "faces": "d", "garments": "d", **{f"{stage}_s": ".1f" for stage in STAGES}, "all_s": ".1f",
     "drawn": "d", "cloth": "d", "hang_ms": ".3f", "frame_ms": ".2f", "over_dress": ".2f", "refused": "s",

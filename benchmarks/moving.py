@@ -50,8 +50,8 @@ from service.settings import Settings
 
 TIERS = TIER_NAMES[1:]  # the least has no folds to look at
 EVERY = 5  # frames between two in which crossings and depth are counted
-DEEP_MM = 10.0  # in the skin: no lift hides such a vertex
-OVERLAP_M = 0.03  # from skin that crosses itself
+DEEP_MM = 10.0  # no lift hides a vertex so deep in the skin
+OVERLAP_M = 0.03  # cloth so near to skin that crosses itself is left out of the free figures
 SHARES = {"curvature": "curvature", "dihedral": "dihedral_deg", "fine": "fine_mm", "middle": "middle_mm",
           "hem": "hem_mm", "area": "area_m2"}  # fmt: skip
 COLUMNS = {
@@ -243,7 +243,7 @@ def _add_rows(run: Run, drapery: DrapeRuntime, names: Sequence[str], clips: Sequ
     """Adds the rows of garments of ``names`` over ``clips``."""
     stills, skins = Stills(drapery), [ClipSkin(clip) for clip in clips]
     for garments in outfits(list(names)):
-        looks = [looks_of(fine_garment(garment)) for garment in garments]  # whose filters take a while
+        looks = [looks_of(fine_garment(garment)) for garment in garments]  # made once: their filters take a while
         for skin in skins:
             for tier in run.options.tiers:
                 run.add(scene_rows(drapery, garments, looks, skin, stills, tier, sheet))

@@ -52,7 +52,7 @@ from drape.motion.readers import read_motion
 from training.disagreement import disagreement
 
 METHODS = ("skinning", "skinning_push", "network", "network_push", "folds", "physics")
-STEPS = 2  # of folds
+STEPS = 2  # steps of folds
 MEASURED = ("edge_pct", "area_pct", "colliding_vertex_pct", "colliding_triangle_pct", "self_intersections", "hang_mm",
             "detail_mm", "dihedral_deg")  # fmt: skip
 # Heads are short where the key is longer than its numbers.
@@ -263,7 +263,7 @@ def main(run: Run) -> None:
             name = _in_fabric(garment.name, own.fabric.name if own.fabric else None)
             try:
                 rows = measure(garment, own, trained=trained)
-            except InputError as error:  # nor one garment without an optimum
+            except InputError as error:  # one garment without an optimum must not cost it either
                 refused[_in_fabric(error.name, own.fabric.name if own.fabric else None)] = str(error)
                 continue
             run.rows += rows

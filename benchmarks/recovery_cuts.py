@@ -64,7 +64,7 @@ COLUMNS = {
     "seam_max_pct": ".2f", "anew_mm": ".1f", "sewn_mm": ".1f", "minutes": ".1f", "processor_min": ".1f",
 }  # fmt: skip
 UNSEEN = "does not show its seams"
-REFUSED = "refused"  # in place of a base
+REFUSED = "refused"  # stands where the name of a base would
 TILE, GAP, ACROSS = (150, 170), 10, 5  # pixels of half a picture and between two; how many stand side by side
 
 

@@ -53,10 +53,10 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
 LATE_S, WARM_S = 0.1, 1.0
-OVERLOADED_S = 3.0  # until streams that all come at once are held where they stay
+OVERLOADED_S = 3.0  # after so long, streams that all open at once have the tier at which they stay
 PAIR = ("tshirt", "dress")
 POST, POSTED = "POST /drape", {"advanced": {"passes": 0, "folds": 0}}
-CARRIED_PCT = 97.0  # goodput of streams that are carried
+CARRIED_PCT = 97.0  # streams with at least this goodput are carried
 COLUMNS = {
     "case": "s", "server": "s", "tier": "s", "clients": "d", "fps": ".0f", "goodput_pct": ".1f", "stepped_pct": ".0f",
     "frame_age_p50_ms": ".0f", "frame_age_p99_ms": ".0f", "overhead_p50_ms": ".2f", "overhead_p99_ms": ".2f",
@@ -237,7 +237,7 @@ def alone(plan: Plan, shape_count: int, clip: MotionClip, seconds: float, *, war
             stream.forget()
         else:
             time.sleep(max(0.0, begin_s + (frame + 1) / FPS - time.perf_counter()))
-    return np.array(stream.clock.wall_ms[1:])  # the first pays for what is made once
+    return np.array(stream.clock.wall_ms[1:])  # the first pays for what is computed once
 
 
 def posts(url: str, garment: str, clip: MotionClip, seconds: float) -> np.ndarray:

@@ -28,8 +28,8 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
 ROW_BLOCK = 2000
-SHAPE_EVERY = 50  # frames of one body
-REACH_M = 1.0  # of a garment beyond its body's box
+SHAPE_EVERY = 50  # each body has so many frames
+REACH_M = 1.0  # how far a garment may be outside its body's box
 STEPS_S = (0.0, 1e-9, 1.0 / 240.0, 1.0 / 60.0, 1.0 / 30.0, 0.2, 2.0, -1.0)
 SPREADS_RAD = (0.0, 1e-40, 1e-4, 0.1, 0.5, np.pi, ANGLE_LIMIT_RAD)
 GARMENT = "tank"

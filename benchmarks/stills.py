@@ -40,7 +40,7 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
 STEPS, ROUNDS = 8, 40
-PLACES = (0.55, 1.0)  # of a clip near which moving cloth is measured
+PLACES = (0.55, 1.0)  # shares of a clip at which moving cloth is measured
 BEFORE = (0, 3, 6, 9)  # frames before such a place whose poses have a still
 SETTLED, EXACT = "settled", "exact"
 COLUMNS = {

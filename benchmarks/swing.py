@@ -98,7 +98,8 @@ def _summed(rate: np.ndarray, time_s: np.ndarray) -> np.ndarray:
 
 PARTS, STILL_FRAMES = 12, 10
 SCENE = ("garment", "fabric", "clip")
-SHARES = {"rise_mm": "share", "period_s": "period_share", "settle_s": "settle_share"}  # of the simulator's
+# Figures of a drape, and the name of their share of the simulator's.
+SHARES = {"rise_mm": "share", "period_s": "period_share", "settle_s": "settle_share"}
 COLUMNS = {
     "garment": "s", "fabric": "s", "clip": "s", "method": "s", "ms": ".2f", "rise_mm": ".1f", "share": ".2f",
     "period_s": ".2f", "period_share": ".2f", "over": ".2f", "settle_s": ".2f",

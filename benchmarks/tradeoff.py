@@ -45,13 +45,14 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
 PASSES = (0, 1, None)
-STARTS = {"network_0": 0, "network_all": None}  # which the optimum is looked for from, besides skinning
-CROSSED = 2  # of the frames with an optimum, whose crossings are counted
+# Passes of the networks whose drapes physics starts from, besides skinning.
+STARTS = {"network_0": 0, "network_all": None}
+CROSSED = 2  # crossings are counted in so many of the frames with an optimum
 FIGURES = ("energy_j", "edge_pct", "jitter_ratio", "colliding_pct", "skin_pixels_pct")  # those of physics_bound
-DETAIL_MOST = 1.2  # of physics' detail: more is a texture that physics does not have, and gain does not see it
-SMOOTHER = 0.75  # of the way from the curvature of ``fast`` to that of the last tier, for the one between
-AS_CHEAP = 1.05  # times of one run are no surer than that
-LIFTED = 0.4  # of what all corrections gain over none without folds: ``instant`` has it
+DETAIL_MOST = 1.2  # times physics' detail: more is a texture that physics does not have, and gain does not see it
+SMOOTHER = 0.75  # share of the way from the curvature of ``fast`` to that of ``accurate``, for ``balanced``
+AS_CHEAP = 1.05  # ratio of two times: those of one run are no surer than that
+LIFTED = 0.4  # share that ``instant`` has of what all corrections gain over none, without folds
 KNOBS = ("passes", "folds", "coarse")
 COLUMNS = {
     "tier": "s", "knobs": "s", "garment": "s", "fabric": "s", "clip": "s", "p50_ms": ".2f", "p95_ms": ".2f",

@@ -54,7 +54,7 @@ def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
         "steps": int(state["step"]),
         "frames": frames,
         "minutes": minutes,
-        "garments": [Path(name).stem for name in config.data.garments],  # of files not the folder
+        "garments": [Path(name).stem for name in config.data.garments],  # a file without its folder
         "held_out": list(config.data.held_out),
         **({"held_out_fabrics": list(config.data.held_out_fabrics)} if config.model.fabric else {}),
     }

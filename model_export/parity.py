@@ -102,7 +102,7 @@ def sequence_error(model: OneFit, folder: Path, graphs: dict[str, GraphSpec], ga
     rng = np.random.default_rng(3)
     dt_s = rng.choice([1 / 60, 1 / 30, 1 / 12], size=SEQUENCE_FRAMES - 1)
     time_s = np.concatenate([[0.0], np.cumsum(dt_s)])
-    time_s = np.minimum(time_s, time_s[-6])  # of the body, which stands still at the end
+    time_s = np.minimum(time_s, time_s[-6])  # the body stands still at the end
     swing = rng.uniform(0.5, 3.0, size=(24, 3))
     poses = 0.4 * np.sin(2.0 * np.pi * time_s[:, None, None] * swing)
     trans = np.sin(3.0 * time_s)[:, None] * [0.5, 0.1, 0.8]

@@ -62,7 +62,7 @@ CENTRE_BONES: dict[str, tuple[str, tuple[str, ...]]] = {
     "neck": ("neck01", ("neck",)),
     "head": ("head", ()),  # every bone that nothing else claims: jaw, face, eyes
 }
-COLLAR_LIFT_SHARE = 0.22  # of the arm's lift to the horizontal, carried by the collar
+COLLAR_LIFT_SHARE = 0.22  # the collar carries this share of the arm's lift to the horizontal
 LEG_SPREAD_RAD = np.deg2rad(2.0)  # outward from vertical, so that the thighs stay apart
 
 

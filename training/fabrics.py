@@ -8,10 +8,10 @@ from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import FABRICS
 from drape.errors import InputError
 
-STRETCH_N_PER_M = 43.1  # of the cloth with which the losses were weighed
+STRETCH_N_PER_M = 43.1  # the stiffness of the cloth for which the losses' weights were chosen
 TABLE_SHARE = 0.5
-CHANGE = 0.15  # of a table's fabric, standard deviation of each logarithm
-APART = 0.7  # of fabric_distance: nearer fabrics count as the one that is held out
+CHANGE = 0.15  # standard deviation of each logarithm of a fabric of the table
+APART = 0.7  # fabrics with a smaller fabric_distance count as the one that is held out
 COMPARED = ("warp_n_per_m", "weft_n_per_m", "shear_n_per_m", "bending_warp_j", "bending_weft_j")
 TRIES = 1000
 

@@ -39,7 +39,7 @@ HELPERS_FILE = Path(str(files("training"))) / "assets" / "helpers.npz"  # surfac
 CLEARANCE_M = 0.0065  # intake promises 6 mm; half a millimetre covers rounding to float32
 CLEFT_HALF_WIDTH_M, CLEFT_TOP_M, CLEFT_PASSES = 0.07, 1.04, 120
 TAUBIN_SHARES = (0.5, -0.51)
-SLIVER_SHARE = 0.003  # of the mean triangle
+SLIVER_SHARE = 0.003  # times the area of the mean triangle
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from training.chart_consensus import softened
 from training.config import ModelConfig
 
 STRAIN_COUNT = 3 * STRAIN_POINTS
-CLOSENESS_COUNT = 2 * STRAIN_POINTS  # of the patch's own part of the body, and of others
+CLOSENESS_COUNT = 2 * STRAIN_POINTS  # one for the patch's own part of the body, one for others
 SURROUNDINGS_COUNT = 3 * JOINT_COUNT + 3  # of onefit.patch_surroundings
 
 

@@ -73,7 +73,7 @@ class OneFit(nn.Module):
         self.register_buffer("tangent_terms", tangent_terms(), persistent=False)
         terms = jets.basis(strain_points(), jets.HEIGHT_ORDER).T  # (15, 7)
         self.register_buffer("felt_terms", torch.from_numpy(terms.copy()).float(), persistent=False)
-        self.autocast = False  # of the networks alone: places in space need float32
+        self.autocast = False  # for the layers alone: places in space need float32
 
     def _felt(self, rotation: Tensor, points: Tensor, near: Planes) -> list[Tensor]:
         """Closeness (F, K, 14) of the posed body to ``points`` of the patches, and its force on the jets (F, K, 27)."""
@@ -215,7 +215,7 @@ def rest_frames(body: BodyTensors, patches: PatchTensors) -> tuple[Tensor, Tenso
     return patches.rotation[None].expand(centre.shape[0], -1, -1, -1), centre
 
 
-FRAME_ROWS = 4  # of posed coefficients: centre and rotation
+FRAME_ROWS = 4  # the first rows of posed coefficients: centre and rotation
 
 
 def posed_coefficients(posed: Posed, scale: Tensor) -> Tensor:

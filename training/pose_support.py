@@ -27,7 +27,7 @@ from training.config import DataConfig
 from training.poses import PoseBank, mirror_poses, read_training_clips
 
 COUNTS = {"legs": 256, "trunk": 256, "tilt": 64}
-PASSING = 0.99  # of the frames of unseen clips
+PASSING = 0.99  # share of the frames of unseen clips
 SPREADS_RAD = (0.3, 0.5, 0.7, 1.0, np.pi, 1000.0)
 FILE = "poses.npz"
 

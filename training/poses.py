@@ -18,7 +18,7 @@ from training.config import DataConfig
 MIRROR = tuple(
     JOINT_NAMES.index(n.replace("left", "#").replace("right", "left").replace("#", "right")) for n in JOINT_NAMES
 )
-KIND_COUNT = 128  # of poses, drawn evenly in part
+KIND_COUNT = 128  # kinds of poses; a share of the draws takes each kind equally often
 STRIDE_S = 1.0 / 15.0
 
 

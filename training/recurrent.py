@@ -21,7 +21,7 @@ from training.layers import mlp
 REFERENCE_DT_S = 1.0 / 30.0  # a step of this length is one step of an ordinary gated recurrent unit
 INPUT_LIMIT = 10.0  # scaled features beyond it are a glitch or a teleport
 SMALLEST_RATE, SMALLEST_ACCELERATION = 0.1, 0.5  # [1/s], [m/s^2]; joints that hardly move are not blown up
-SLOWEST_HZ, FASTEST_HZ = 0.4, 4.0  # of the pendulums that the state begins as
+SLOWEST_HZ, FASTEST_HZ = 0.4, 4.0  # frequencies of the pendulums that the state begins as
 TINY = 1e-12
 
 

@@ -136,7 +136,7 @@ def main() -> int:
     )
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     arguments = parser.parse_args()
-    with flushed():  # from the start: the threads of torch, made at its first large operation, take it over
+    with flushed():  # torch starts its threads at its first large operation, and they inherit it
         _run(arguments)
     return 0
 

@@ -44,7 +44,7 @@ from training.targets import SettledDrapes, settled_digest
 from training.trainer import Trainer
 
 EFFORT = FoldEffort(steps=2, settle=40)
-FRAMES = 6  # of a file: the constants of a garment in a fabric cost as much as one
+FRAMES = 6  # in a file: the constants of a garment in a fabric cost as much as one of them
 
 
 class Settler:

@@ -26,7 +26,7 @@ from training.poses import PoseBank, draw_betas, rows_of_three
 from training.targets import SettledBank, distance
 from training.wardrobe import Wardrobe
 
-SAMPLE_VERTICES = 384  # per step, for the disagreement of charts
+SAMPLE_VERTICES = 384  # so many in a step measure the disagreement of charts
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class BaseTrainer:
         self.body = load_body()
         self.source = BodySource(self.body, device=device)
         self.fabrics = FabricBank(config.data.held_out_fabrics) if config.model.fabric else None
-        self.fabric = fabric(DEFAULT_FABRIC) if config.model.fabric else None  # until a step draws one
+        self.fabric = fabric(DEFAULT_FABRIC) if config.model.fabric else None  # a step draws another
         self.material = material() if self.fabric is None else Material.of(self.fabric)
         self.wardrobe = Wardrobe(
             config.data,

@@ -15,7 +15,7 @@ from training.config import DataConfig, MotionConfig
 from training.poses import mirror_poses
 
 HISTORY = 2  # frames before the first that has motion features, and before the first that has inertia
-DRAWS = 50  # with the times wished for, before every frame of a clip is taken
+DRAWS = 50  # tries to find frames at the intervals that were drawn; then every frame of a clip is taken
 SWAY_HZ = (0.3, 2.0)
 
 

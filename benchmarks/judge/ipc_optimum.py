@@ -16,7 +16,7 @@ from drape.exact.newton import Band, Cloth
 from drape.exact.settling import State
 from drape.geometry import triangle_pairs
 
-STEPS = 120  # at most; they end a few hundredths of a joule above where they lead
+STEPS = 120  # at most; drapes end a few hundredths of a joule above their optimum
 
 
 def stored_apart(task: physics.OptimumTask, folder: Path | None) -> tuple[physics.Optimum, bool]:

@@ -28,7 +28,7 @@ from drape.exact.settling import State
 from drape.garment.cache import Garment
 from drape.geometry import meshes
 
-STEPS = 250  # at most
+STEPS = 250  # of Newton's method, at most
 LEFT_LIMIT_J_M2 = 0.05  # skinning costs 1 to 5 J per m^2 of cloth
 
 

@@ -22,11 +22,11 @@ from drape.exact import newton, settling
 from drape.exact.newton import Band, Cloth, Descent
 from drape.geometry import meshes
 
-FIRST_STEPS, STEPS, TOLERANCE = 120, 12, 0.01  # of Newton's method; force left over the weight
-SETTLE = 50  # rounds before them
+FIRST_STEPS, STEPS, TOLERANCE = 120, 12, 0.01  # steps of Newton's method; force that may be left over the weight
+SETTLE = 50  # rounds of settling before Newton's steps
 ROUNDS = 3
 AIR_KG_M3 = 0.72  # half of air's density times the drag of a plate across, as swing has it
-SLIP_M = 2e-4  # in a frame: up to here friction grows with the way
+SLIP_M = 2e-4  # friction grows with the slip of a frame up to here
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.tables import Row
 from drape.geometry import meshes
 
-HEM_SHARE = 0.1  # of the garment's height, from below, in which a boundary is a hem
+HEM_SHARE = 0.1  # a boundary is a hem in this share of the garment's height, from below
 SETTLED_M = 0.005  # a hem nearer to its place is at rest
 
 

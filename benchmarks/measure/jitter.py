@@ -18,7 +18,7 @@ from drape.graph.push_feed import push_feed
 from drape.motion.clip import MotionClip, clean_windows, joint_steps
 
 FPS = 60.0
-WINDOW = 60  # frames
+WINDOW = 60  # frames of a window
 STRIDE = 15
 
 

@@ -36,7 +36,7 @@ from drape.exact.blended_planes import blended_distance
 from drape.garment.cache import Garment
 from drape.geometry.raster import ZBuffer, z_buffer
 
-FEW = 3  # frames, about, of measures that take long
+FEW = 3  # measures that take long are taken on about so many bodies
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +204,7 @@ def jitter_ratio(vertices: np.ndarray, start: np.ndarray) -> float:
 PIXEL_M = 0.003
 VIEWS_DEG, REST_VIEWS_DEG = (0.0, 90.0, 180.0, 270.0), tuple(45.0 * view for view in range(8))
 HEM_M, BEHIND_M = 0.03, 0.03
-MARGIN_M = 0.1  # around the body: cloth stands off it
+MARGIN_M = 0.1  # added around the body, since cloth stands off it
 
 
 @dataclass(frozen=True, eq=False)

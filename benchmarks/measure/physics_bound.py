@@ -14,7 +14,7 @@ from benchmarks.measure.judged import Judged, JudgedCloth, jitter_ratio
 from benchmarks.tables import Row
 from drape.cloth import metrics
 
-OPTIMA = 6  # frames of a clip, at most, whose optimum is looked for
+OPTIMA = 6  # physics is computed of at most so many frames of a clip
 
 
 def figures(judge: Judged, vertices: np.ndarray, start: np.ndarray, measured: np.ndarray) -> Row:

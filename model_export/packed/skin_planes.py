@@ -19,7 +19,7 @@ from drape.graph.packed_inputs import ShapedSkins, StoredProximity
 from model_export.packed.kinematics import PatchFrames
 from model_export.packed.operators import WithTables, softsign
 
-PLACES = 2 * STRAIN_POINTS  # of a patch: each point before its own part of the body, then before others
+PLACES = 2 * STRAIN_POINTS  # each point of a patch before its own part of the body, then before other parts
 
 
 def posed_skins(skins: ShapedSkins, rotation: Tensor, translation: Tensor) -> Tensor:
@@ -128,7 +128,7 @@ def near_means(places: Tensor, middle: Tensor, skin: Tensor, lists: StoredProxim
     query = queries(places.mT).mT
     body = patch_body.to(torch.int64)
     clusters = skin.reshape(-1, 8 * CLUSTER_SIZE)
-    stride = count_of(skin[0, :, 0, 0], torch.int64)  # of a body's regions
+    stride = count_of(skin[0, :, 0, 0], torch.int64)  # regions of a body
     first = body * (stride * (REGION_SIZE // CLUSTER_SIZE))
     own = torch.index_select(clusters, 0, (lists.cluster.to(torch.int64) + first[:, None]).reshape(-1))
     own_means = attend(query, own.reshape(-1, lists.bias.shape[1], 8), lists.bias)

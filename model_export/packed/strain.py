@@ -22,8 +22,8 @@ from drape.geometry import jets
 from model_export.packed.operators import WithTables, softsign
 from training.chart_consensus import tangent_terms
 
-SOFTENING = 4.0  # of training.chart_consensus.softened: 4 x / (1 + |4 x|)
-DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))  # of u and v in the three directions
+SOFTENING = 4.0  # training.chart_consensus.softened is 4 x / (1 + |4 x|)
+DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))  # u and v along each of the three directions
 # Factors of (a, b, c) in each monomial, and of (q_1, q_2, q_3) in the product of tangents that it multiplies.
 MONOMIALS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _UU, _VV, _UV = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-0.5, -0.5, 0.5)
