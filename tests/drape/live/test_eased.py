@@ -56,6 +56,7 @@ def test_a_step_lowers_the_strain_and_frames_lower_it_further(tank: TwoLevel, st
 def test_what_was_eased_turns_with_the_body_and_fades(tank: TwoLevel, still: Frame):
     angle, later_s = 0.1, 1.0 / 30.0
     _, memory, _ = tank.fold(None, still, IDLE)
+    assert isinstance(memory, LiftMemory)
     here, _, _ = tank.fold(memory, replace(still, time_s=later_s), IDLE)
     there, _, _ = tank.fold(memory, replace(turned(still, angle), time_s=later_s), IDLE)
     assert_allclose(turned(replace(still, vertices=here), angle).vertices, there, atol=2e-5)
@@ -90,6 +91,7 @@ def test_a_jump_is_told(tank: TwoLevel, still: Frame):
 
 def test_what_is_no_fold_is_left_out(tank: TwoLevel, still: Frame):
     _, memory, _ = tank.fold(None, still, IDLE)
+    assert isinstance(memory, LiftMemory)
     for wrong in (np.nan, 4.0 * FAR_M):
         torn = replace(memory, eased=np.full_like(memory.eased, wrong))
         vertices, after, _ = tank.fold(torn, replace(still, time_s=1.0 / 30.0), IDLE._replace(clearance_m=0.0))
@@ -99,6 +101,7 @@ def test_what_is_no_fold_is_left_out(tank: TwoLevel, still: Frame):
 
 def test_the_same_input_gives_the_same_bits_and_a_pause_begins_anew(tank: TwoLevel, still: Frame):
     first, memory, _ = tank.fold(None, still, IDLE)
+    assert isinstance(memory, LiftMemory)
     kept = memory.eased.copy()
     again = [tank.fold(memory, replace(still, time_s=1.0 / 30.0), IDLE)[0] for _ in range(2)]
     assert_array_equal(again[0], again[1])

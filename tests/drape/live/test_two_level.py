@@ -160,7 +160,7 @@ def test_fine_folds_are_carried_on_by_the_coarse_cloth_and_fade(tank: TwoLevel, 
     bent = still.vertices * [1.0, 1.0, 1.05] @ about.T
     later = replace(still, vertices=bent.astype(np.float32), time_s=memory.coarse.time_s + 1.0 / 30.0)
     kept, faded, report = tank.fold(memory, later, EFFORT._replace(steps=0, clearance_m=0.0))
-    assert not report.settled
+    assert not report.settled and isinstance(faded, TwoLevelMemory)
     lies = coarse_places(tank, faded)
     wanted = carried(tank, memory, bent, lies, np.exp(-1.0 / 30.0 / FADE_S))
     assert_allclose(kept, wanted, rtol=0.0, atol=2e-5)
@@ -171,6 +171,7 @@ def test_fine_folds_are_carried_on_by_the_coarse_cloth_and_fade(tank: TwoLevel, 
 def test_cloth_that_came_through_the_skin_is_laid_back(tank: TwoLevel, still: Frame, way_m: float, kept: bool):
     """Cloth that lies behind its sample, where the network has it before the skin, begins at the network's place."""
     _, memory, _ = tank.fold(None, still, EFFORT)
+    assert isinstance(memory, TwoLevelMemory)
     place, coarse = tank.levels.coarse.sheet.place, memory.coarse
     network, own = coarse.network[place].astype(np.float64), coarse.touched.own[place]
     normal = still.skin.reshape(-1, 8)[own, 4:7].astype(np.float64)
@@ -179,6 +180,7 @@ def test_cloth_that_came_through_the_skin_is_laid_back(tank: TwoLevel, still: Fr
     moved = replace(memory, coarse=replace(coarse, residual=residual))
     later = replace(still, time_s=1.0 / 30.0)
     _, after_it, _ = tank.fold(moved, later, EFFORT._replace(steps=0, clearance_m=0.0))
+    assert isinstance(after_it, TwoLevelMemory)
     left = np.linalg.norm(after_it.coarse.residual[place], axis=1)
     near = np.linalg.norm(network - still.skin.reshape(-1, 8)[own, :3], axis=1) < 0.03
     assert near.sum() > 100
@@ -198,6 +200,7 @@ def test_what_is_no_fold_is_the_networks_drape(tank: TwoLevel, still: Frame):
     later, place = replace(still, time_s=2.0 / 30.0), tank.levels.fine.sheet.place
     far = replace(memory, fine=memory.fine + np.float32(2.0 * FAR_M))
     vertices, begun, report = tank.fold(far, later, EFFORT._replace(steps=0))
+    assert isinstance(begun, TwoLevelMemory)
     assert report.reset and not report.settled and np.array_equal(begun.fine[place], still.vertices)
     assert_array_equal(vertices, still.vertices)
     torn = replace(memory, coarse=replace(memory.coarse, residual=np.full_like(memory.coarse.residual, np.nan)))
