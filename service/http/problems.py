@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -56,8 +56,20 @@ def install_handlers(app: FastAPI) -> None:
         return JSONResponse(document, status_code=error.status_code, media_type=PROBLEM, headers=error.headers)
 
 
-def validation_refusal(errors: Sequence[Any], known: Iterable[str] = ()) -> InputError:
-    """Returns the refusal for the first of pydantic's ``errors``; ``known`` are the fields that exist.
+class JsonSource(NamedTuple):
+    """What was sent as JSON: its ``name`` in a refusal, the ``cure`` where it is no JSON object, and what came
+    ``otherwise``."""
+
+    name: str
+    cure: str
+    otherwise: str = "text that is not JSON"
+
+
+BODY = JsonSource("request body", "Send JSON with Content-Type: application/json.")
+
+
+def validation_refusal(errors: Sequence[Any], known: Iterable[str] = (), source: JsonSource = BODY) -> InputError:
+    """Returns the refusal for the first of pydantic's ``errors``; ``known`` are the fields that exist in ``source``.
 
     A field that may be of several kinds has a complaint of each kind. The one that came furthest is meant.
     """
@@ -65,7 +77,7 @@ def validation_refusal(errors: Sequence[Any], known: Iterable[str] = ()) -> Inpu
     location = _without_kinds([part for part in first["loc"] if part not in ("query", "path", "header")], first["type"])
     more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
     if not location:
-        return not_json(_shown(first))
+        return not_json(_shown(first), source)
     field = _shortened(str(location[0]))
     name = field + "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location[1:])
     levels = _LEVELS.get(field)
@@ -87,10 +99,9 @@ def validation_refusal(errors: Sequence[Any], known: Iterable[str] = ()) -> Inpu
     return MotionError(name, expected=expected, got=got + more, cure=_CURES[field])
 
 
-def not_json(got: str) -> InputError:
-    """The refusal of a body that is no JSON object."""
-    cure = "Send JSON with Content-Type: application/json."
-    return InputError("request body", expected="a JSON object", got=got, cure=cure)
+def not_json(got: str, source: JsonSource = BODY) -> InputError:
+    """Returns the refusal of a ``source`` that is no JSON object."""
+    return InputError(source.name, expected="a JSON object", got=got, cure=source.cure)
 
 
 def check_query(names: Iterable[str], known: tuple[str, ...]) -> None:
