@@ -208,12 +208,13 @@ def _told() -> Callable[[dict[str, Any]], None]:
 
 
 def _progress() -> Callable[[dict[str, Any]], None]:
-    """Says on standard error where an upload is, whenever that changes. Ctrl-C cancels it."""
+    """Says on standard error where an upload is, whenever that changes, and its notes at its end. Ctrl-C cancels it."""
     shown = ""
 
     def tell(job: dict[str, Any]) -> None:
         nonlocal shown
         line = f"{job['name']}: {job['stage'] or job['state']}, {100 * job['share']:.0f} %"
+        line += "".join(f"\n{job['name']}: {note}" for note in job.get("notes", ()))
         if line != shown:
             print(line, file=sys.stderr)
             shown = line

@@ -168,6 +168,8 @@ def _wear(given: argparse.Namespace) -> int:
         ]
     options = {name: value for name in ("tier", "fabric", "size") if (value := getattr(given, name)) is not None}
     worn = opened.wear(garments, on=given.on, alive=given.alive, betas=given.betas, **options)
+    for note in dict.fromkeys(f"{one.name}: {note}" for one in worn.layers for note in one.warnings):
+        print(note, file=sys.stderr)
     clip = worn.placed(given.motion, fps=given.fps, as_recorded=given.as_recorded)
     if given.joints is not None:
         return _wear_on_joints(worn, clip, given)

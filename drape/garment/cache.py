@@ -40,6 +40,7 @@ READ_VERSIONS = (1, FILE_VERSION)  # the first had what body and charts tell
 GARMENTS_DIR = ASSETS / "garments"
 OWN_GARMENTS_DIR = RUNS / "garments"  # what users take in; the service reads it too
 CHARTS_PER_VERTEX = 4
+WARNING = "warning: "  # begins a note that whoever brought the file should know
 SAME_M = 5e-7  # float32 of places within a few metres
 
 
@@ -202,6 +203,12 @@ class Garment(Atlas):
 
     def file_name(self) -> str:
         return f"{self.name}-{self.digest[:16]}.npz"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The notes of its intake that whoever brought the file should know, without the word that begins them."""
+        notes = self.manifest.get("notes", ())
+        return tuple(note.removeprefix(WARNING) for note in notes if note.startswith(WARNING))
 
 
 _BY_COLUMNS = ("vertices", "uv", "chart_uv", "chart_weight", "chart_residual")

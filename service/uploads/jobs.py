@@ -71,14 +71,6 @@ class Job:
         return self.state not in ("queued", "running")
 
 
-WARNING = "warning: "  # begins those notes of an intake that whoever sent the file should know
-
-
-def warnings_of(notes: Iterable[str]) -> tuple[str, ...]:
-    """The warnings among the ``notes`` of an intake, without the word."""
-    return tuple(note.removeprefix(WARNING) for note in notes if note.startswith(WARNING))
-
-
 class Uploads:
     """A queue with ``DRAPE_INTAKE_WORKERS`` workers; files lie in a staging folder of this process until they are
     garments. Uploads to other services that have the same folder are known too."""
@@ -308,9 +300,9 @@ class Uploads:
         """What is otherwise than in the file that ``job`` brought, or looks wrong with it, and who wore it."""
         if job.kind == "avatar":
             return tuple(self._runtime.avatars.get(job.results[-1], job.owner).facts.notes), None
-        manifests = [self._runtime.garments.get(garment, job.owner).garment.manifest for garment in job.results]
-        notes = dict.fromkeys(note for manifest in manifests for note in warnings_of(manifest.get("notes", ())))
-        return tuple(notes), manifests[-1].get("wearer")
+        garments = [self._runtime.garments.get(garment, job.owner).garment for garment in job.results]
+        notes = dict.fromkeys(note for garment in garments for note in garment.warnings)
+        return tuple(notes), garments[-1].manifest.get("wearer")
 
     async def _run_intake(self, job: Job, folder: Path, accepted: Accepted) -> tuple[str, ...]:
         """The ids of the garments or the avatar made from what was ``accepted`` and lies in ``folder``."""
