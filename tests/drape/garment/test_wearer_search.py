@@ -235,6 +235,19 @@ def test_a_garment_modelled_back_to_front_is_turned_and_says_what_turns_it_back(
     assert told_reading(wearer.others[0].told)[0].reading == Reading("m", 1.0, "+y", "+z")
 
 
+def test_flat_cloth_is_refused_unless_its_body_is_told():
+    """A square metre was a cape."""
+    points, faces = grid(30, 30, cell_m=1.0 / 30.0)
+    points = points[:, [0, 2, 1]] - [0.5, 0.0, 0.5]
+    for waves_m in (0.0, 0.015):
+        waves = waves_m * (np.sin(9.0 * points[:, :1]) * np.cos(7.0 * points[:, 2:])) * [0.0, 1.0, 0.0]
+        flat = plain_mesh("flat", 100.0 * (points + waves), faces)
+        with pytest.raises(MeshError, match=r"a flat piece, of an extent of 100 x .* x 100"):
+            worn_by(flat, BODY, IntakeOptions())
+    told = {"unit": "cm", "up": "y", "facing": "z", "trans": [0.0, 0.0, 0.0]}
+    np.testing.assert_allclose(modelled_on(flat, BODY, IntakeOptions(), told)[0].vertices, 0.01 * flat.vertices)
+
+
 def test_an_outfit_for_hanging_arms_does_not_lie_on_the_standard_body():
     worn = shirt(BODY, BODY.v_template)[0]
     assert on_standard(plain_mesh("shirt", worn, FACES), BODY, IntakeOptions()) is not None
