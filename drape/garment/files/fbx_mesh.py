@@ -9,7 +9,7 @@ import numpy as np
 
 from drape.files.fbx import FbxMesh, read_scene
 from drape.garment.files.fbx_looks import fbx_looks
-from drape.garment.files.mesh import Beside, GarmentMesh, check_count, fans, mesh_fault, plain_mesh
+from drape.garment.files.mesh import Beside, GarmentMesh, check_count, fans, in_stated_unit, mesh_fault, plain_mesh
 
 UNTOLD = -1  # the number of no material
 
@@ -39,11 +39,12 @@ def read_fbx(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = l
     told = [None if number == UNTOLD else scene.materials[number] for number in used]
     looks, notes = fbx_looks(told, scene.pictures, beside)
     names = tuple("default" if one is None else one["name"] for one in told)
-    mesh = plain_mesh(name, np.concatenate([part.points for part in parts]), faces)
+    points, unit_note = in_stated_unit(np.concatenate([part.points for part in parts]), scene.unit_m)
+    mesh = plain_mesh(name, points, faces)
     mesh = replace(mesh, material_names=names, face_material=material.reshape(-1), looks=looks)
     if polygons := sum(part.polygons for part in parts):
         mesh = mesh.noted(f"{polygons} polygons triangulated")
-    mesh = mesh.noted(f"the file states its unit: {scene.unit_m:g} m", *notes)
+    mesh = mesh.noted(unit_note, *notes)
     if all(part.uv is None for part in parts):
         return mesh
     uv = np.concatenate([np.zeros((3 * len(part.faces), 2)) if part.uv is None else part.uv for part in parts])

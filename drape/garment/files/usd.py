@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from drape.garment.files.archive import files_beside, zip_members
-from drape.garment.files.mesh import Beside, GarmentMesh, check_count, fans, mesh_fault, plain_mesh
+from drape.garment.files.mesh import Beside, GarmentMesh, check_count, fans, in_stated_unit, mesh_fault, plain_mesh
 from drape.garment.files.usd_looks import coordinates_of, usd_looks
 
 MOST_PRIMS = 100_000
@@ -143,7 +143,7 @@ def _joined(parts: list[_Part], stage: Any, name: str, beside: Beside) -> Garmen
     stated_m = geometry.GetStageMetersPerUnit(stage) if geometry.StageHasAuthoredMetersPerUnit(stage) else 1.0
     upright = geometry.GetStageUpAxis(stage) == geometry.Tokens.y
     starts = np.cumsum([0] + [len(part.points) for part in parts])
-    points = stated_m * np.concatenate([part.points for part in parts])
+    points, unit_note = in_stated_unit(stated_m * np.concatenate([part.points for part in parts]), stated_m)
     if not upright:
         points = np.stack([points[:, 0], points[:, 2], -points[:, 1]], axis=1)
     faces = np.concatenate([part.faces + start for part, start in zip(parts, starts[:-1], strict=True)])
@@ -157,7 +157,7 @@ def _joined(parts: list[_Part], stage: Any, name: str, beside: Beside) -> Garmen
     if polygons := sum(part.polygons for part in parts):
         mesh = mesh.noted(f"{polygons} polygons triangulated")
     if stated_m != 1.0:
-        mesh = mesh.noted(f"the file states its unit: {stated_m:g} m")
+        mesh = mesh.noted(unit_note)
     if not upright:
         mesh = mesh.noted("turned from z up to y up")
     if all(part.uv is None for part in parts):
