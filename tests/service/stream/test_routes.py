@@ -274,6 +274,7 @@ def test_a_garment_that_takes_long_to_make_ready_does_not_end_its_stream(make_se
         await opened(socket)
         await send(socket, 1)
         message = await asyncio.wait_for(socket.recv(), 10.0)
+        assert isinstance(message, bytes)
         await socket.send(json.dumps(OPEN))
         await socket.send(wire.pack_ack(wire.unpack_frame(message).sequence))
         assert json.loads(await asyncio.wait_for(socket.recv(), 10.0))["type"] == "opened"
