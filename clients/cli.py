@@ -208,13 +208,14 @@ def _frame_lines() -> Callable[[dict[str, Any]], None]:
 
 
 def _progress() -> Callable[[dict[str, Any]], None]:
-    """A function that writes the state of an upload on standard error, whenever it changes. Ctrl-C cancels the
-    upload."""
+    """A function that writes the state of an upload on standard error, whenever it changes, and its notes at its end.
+    Ctrl-C cancels the upload."""
     shown = ""
 
     def tell(job: dict[str, Any]) -> None:
         nonlocal shown
         line = f"{job['name']}: {job['stage'] or job['state']}, {100 * job['share']:.0f} %"
+        line += "".join(f"\n{job['name']}: {note}" for note in job.get("notes", ()))
         if line != shown:
             print(line, file=sys.stderr)
             shown = line

@@ -63,6 +63,7 @@ def upload_steps(sent: Call[dict[str, Any]], kind: str, wait_s: float, progress:
             yield Call("DELETE", url_path("jobs", job["id"]), calls.read_bytes)
             raise
         job = yield get_call("jobs", job["id"])
+    progress(job)
     return name
 
 

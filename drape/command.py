@@ -176,6 +176,8 @@ def _wear(options: argparse.Namespace) -> int:
             garments.append(name)
     chosen = {name: value for name in ("tier", "fabric", "size") if (value := getattr(options, name)) is not None}
     worn = opened.wear(garments, on=options.on, alive=options.alive, betas=options.betas, **chosen)
+    for note in dict.fromkeys(f"{layer.name}: {note}" for layer in worn.layers for note in layer.warnings):
+        print(note, file=sys.stderr)
     clip = worn.placed(options.motion, fps=options.fps, as_recorded=options.as_recorded)
     if options.joints is not None:
         return _wear_on_joints(worn, clip, options)

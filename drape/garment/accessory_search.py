@@ -18,14 +18,14 @@ from scipy.spatial import KDTree
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.garment.accessories import CARRIERS, carriers_of
-from drape.garment.contours import open_contours
+from drape.garment.contours import Contour, open_contours
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.mesh_checks import UNITS_M
 from drape.garment.reading_hints import NO_HINTS, ReadingHints
 from drape.garment.registration import posed_by
 from drape.garment.seats import Seat, are_glasses, is_as_large
 from drape.garment.sheets import pieces_of
-from drape.garment.wearer_fields import SHAPES, cloth_points, known_parameters, thin_body
+from drape.garment.wearer_fields import DENSE_COUNT, SHAPES, cloth_points, known_parameters, thin_body
 from drape.garment.wearer_reading import USUAL_FRONTS, Reading, WearerCandidate, readings_of
 from drape.geometry import meshes
 
@@ -49,6 +49,11 @@ TEMPLES_M = 0.08  # glasses without temples, off any face, may be a shirt in ano
 MOST_OPENINGS, OPENING = 2, 0.2  # borders of the largest piece longer than this share of its extent: a shirt has four
 IN_PLACE_M = 0.02  # the file's origin at a root or floor, or the shape of glasses, makes up for this distance
 SURE, SURE_ANYWHERE = 0.8, 0.4
+# A skirt or briefs are as high over their floor as a head is over its root, but have a waist: an opening above such a
+# share of them, as long as such a share of the longest. What is as low as a headband may have one too.
+WAIST_ABOVE, WAIST_LENGTH, HEADBAND_M = 0.6, 0.3, 0.12
+# A hood goes over the crown: around the way up from the head's middle cloth is in such a share of the directions.
+CONE, CROWN_SHARE, DIRECTION_RAD, DIRECTIONS = np.cos(np.radians(40.0)), 0.5, 0.15, 600
 
 
 class _Spot(NamedTuple):
@@ -73,9 +78,9 @@ class _Place(NamedTuple):
 
 
 def accessory_wearer(mesh: GarmentMesh, body: BodyModel, hints: ReadingHints = NO_HINTS) -> WearerCandidate | None:
-    """Returns the body that wears ``mesh``, a checked mesh in the frame of its file, as a hat, glasses or shoes: one of
-    the known bodies, moved to the mesh. None where no bone carries ``mesh`` there, as it is with cloth. ``hints``: what
-    was stated of the file."""
+    """Returns the body that wears ``mesh``, a checked mesh in the frame of its file, as a hat, a hood, glasses or
+    shoes: one of the known bodies, moved to the mesh. None where ``mesh`` is neither a hood nor carried by a bone
+    there, as it is with other cloth. ``hints``: what was stated of the file."""
     points, face = cloth_points(mesh.vertices, mesh.faces, COUNT)
     areas = meshes.face_areas(mesh.vertices, mesh.faces)
     level = areas.sum() / COUNT * meshes.face_normals(mesh.vertices, mesh.faces)[face]
@@ -84,17 +89,49 @@ def accessory_wearer(mesh: GarmentMesh, body: BodyModel, hints: ReadingHints = N
         _spots(points, level, body, hints), key=lambda spot: spot.far - (IN_PLACE_M if spot.origin else 0.0)
     ):
         likeliest.setdefault((spot.reading, spot.bones), spot)
-    for spot in list(likeliest.values())[:TRIED]:
+    likely = [spot for spot in likeliest.values() if spot.bones != ("head",) or not _has_waist(mesh, spot.reading)]
+    for spot in likely[:TRIED]:
         parameters = known_parameters(body, spot.shape, 0.0, 0.0)
         parameters[-3:] -= spot.move
         sure = SURE if spot.origin else SURE_ANYWHERE
         worn = WearerCandidate(
             spot.reading, body, parameters, spot.far, 0.0, 0.0, spot.far, sleeved=False, origin=spot.origin, sure=sure
         )
+        if spot.origin and spot.bones == ("head",) and (hooded := _hooded(mesh, worn, hints)) is not None:
+            return hooded
         worn, bones = _seated(mesh, worn, spot.bones)
-        if bones and (are_glasses(spot.reading.apply(points)) or _openings(mesh) <= MOST_OPENINGS):
+        if bones and (are_glasses(spot.reading.apply(points)) or len(_openings(mesh)) <= MOST_OPENINGS):
             return worn
     return None
+
+
+def _hooded(mesh: GarmentMesh, worn: WearerCandidate, hints: ReadingHints) -> WearerCandidate | None:
+    """Returns ``worn`` with the front where the hood ``mesh`` is open. None where the mesh does not go over the crown
+    of the head, or a bone carries it."""
+    skin, reading = posed_by(worn.body, worn.parameters), worn.reading
+    head = skin[worn.body.weights.argmax(axis=1) == JOINT_NAMES.index("head")]
+    points = cloth_points(mesh.vertices, mesh.faces, DENSE_COUNT)[0]
+
+    def covered(other: Reading, axis: int) -> float:
+        away = other.apply(points) - 0.5 * (head.min(axis=0) + head.max(axis=0))
+        spread = _directions()[_directions()[:, axis] > CONE]
+        far = KDTree(away / np.linalg.norm(away, axis=1, keepdims=True)).query(spread)[0]
+        return float((far < DIRECTION_RAD).mean())
+
+    placed = replace(mesh, vertices=reading.apply(mesh.vertices))
+    if covered(reading, 1) < CROWN_SHARE or carriers_of(placed, skin, worn.body):
+        return None
+    fronts = readings_of([(reading.unit, reading.scale)], reading.up, hints.front)
+    return replace(worn, reading=min(fronts, key=lambda front: covered(front, 2) + front.oddness))
+
+
+@lru_cache(maxsize=1)
+def _directions() -> np.ndarray:
+    """Unit vectors (n, 3), evenly spread."""
+    number = np.arange(DIRECTIONS) + 0.5
+    height, turn = 1.0 - 2.0 * number / DIRECTIONS, number * np.pi * (1.0 + 5.0**0.5)
+    round_m = np.sqrt(1.0 - height**2)
+    return np.stack([round_m * np.cos(turn), height, round_m * np.sin(turn)], axis=1)
 
 
 def seated(mesh: GarmentMesh, wearer: WearerCandidate) -> WearerCandidate:
@@ -120,11 +157,19 @@ def _seated(
     return replace(wearer, parameters=parameters), carriers_of(placed, skin - way, wearer.body)
 
 
-def _openings(mesh: GarmentMesh) -> int:
-    """The long openings of the largest piece."""
+def _openings(mesh: GarmentMesh) -> list[Contour]:
+    """The long openings of the largest piece, the longest first."""
     largest = mesh.faces[pieces_of(mesh.vertices, mesh.faces)[0] == 0]
     least = OPENING * float(np.ptp(mesh.vertices[largest], axis=(0, 1)).max())
-    return sum(one.length_m > least for one in open_contours(mesh.vertices, largest))
+    return [one for one in open_contours(mesh.vertices, largest) if one.length_m > least]
+
+
+def _has_waist(mesh: GarmentMesh, reading: Reading) -> bool:
+    """Whether ``mesh`` is higher than a headband, with a wide opening at its upper end."""
+    height, openings = reading.apply(mesh.vertices[np.unique(mesh.faces)])[:, 1], _openings(mesh)
+    above = height.min() + WAIST_ABOVE * np.ptp(height)
+    wide = [one.points for one in openings if one.length_m > WAIST_LENGTH * openings[0].length_m]
+    return np.ptp(height) > HEADBAND_M and any(reading.apply(points)[:, 1].min() > above for points in wide)
 
 
 def _spots(points: np.ndarray, normals: np.ndarray, body: BodyModel, hints: ReadingHints) -> Iterator[_Spot]:

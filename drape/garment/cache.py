@@ -40,6 +40,7 @@ READ_VERSIONS = (1, FILE_VERSION)  # files of the first version also hold arrays
 GARMENTS_DIR = ASSETS / "garments"
 OWN_GARMENTS_DIR = RUNS / "garments"  # garments of users, which the service reads too
 CHARTS_PER_VERTEX = 4
+WARNING = "warning: "  # a note that begins so is for whoever sent the file
 SAME_M = 5e-7  # rounding of float32 for positions within a few metres
 
 
@@ -208,6 +209,12 @@ class Garment(Atlas):
 
     def file_name(self) -> str:
         return f"{self.name}-{self.digest[:16]}.npz"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The notes of its intake that whoever brought the file should know, without the word that begins them."""
+        notes = self.manifest.get("notes", ())
+        return tuple(note.removeprefix(WARNING) for note in notes if note.startswith(WARNING))
 
 
 _BY_COLUMNS = ("vertices", "uv", "chart_uv", "chart_weight", "chart_residual")

@@ -9,6 +9,7 @@ cloth that stays (``drape.garment.bound``).
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import igl
 import numpy as np
@@ -46,6 +47,7 @@ SEWN_M, SEWN_SHARE, TRIM_SHARE = 0.004, 0.4, 0.15  # a collar's border on its ga
 HUNG = ("corner", "weight", "offset", "kind")  # the arrays of a bound mesh that say what a vertex hangs on
 LARGE_M = 0.25  # extent of a ring around a trunk, at least
 WOUND_ALIKE = 0.7  # mean cosine between normals of a drawn piece and of its cloth
+OPPOSED, ALIKE_M = 0.05, 0.008  # share of a piece nearest to cloth that looks the other way, and how far its own may be
 STIFF_M = 0.06  # parts up to this size turn as a whole
 VERTEX_LIMIT = 12_000
 THINNED_M = 0.012  # edges of thinned cloth
@@ -111,7 +113,8 @@ def _through_walls(
     """Where [m] (D, 3) the ``cloth`` of each vertex is looked for: of those on the inner side of a wall, in a piece of
     the ``label`` (D,) that has vertices of the cloth (``row``), by its thickness through the wall.
 
-    By nearness alone the inner side of a sleeve hangs on the trunk that its arm hung by, and makes webs.
+    By nearness alone the inner side of a sleeve hangs on the trunk that its arm hung by, and makes webs. So does what
+    thinned cloth leaves out, where a sleeve lies on the trunk: it is looked for on what faces its way.
     """
     beyond, hung_on = places.copy(), row >= 0
     normals = meshes.vertex_normals(places, mesh.faces)
@@ -121,9 +124,28 @@ def _through_walls(
         own, inner = (label == number) & hung_on, np.flatnonzero((label == number) & ~hung_on)
         sense = float(agreed[own].mean())
         if len(inner) and abs(sense) > WOUND_ALIKE:
-            thick_m = float(np.median(closest_point(places[inner], cloth.vertices, cloth.faces).distance))
-            beyond[inner] -= np.sign(sense) * thick_m * normals[inner]
+            out, near = np.sign(sense) * normals[inner], closest_point(places[inner], cloth.vertices, cloth.faces)
+            facing = meshes.face_normals(cloth.vertices, cloth.faces)
+            opposed = np.einsum("dc,dc->d", facing[near.face], out) < 0.0
+            if opposed.mean() < OPPOSED:
+                beyond[inner[opposed]] = _on_opposite(places[inner[opposed]], near.face[opposed], cloth, facing)
+            else:
+                beyond[inner] -= float(np.median(near.distance)) * out
     return beyond
+
+
+def _on_opposite(points: np.ndarray, face: np.ndarray, cloth: GarmentMesh, facing: np.ndarray) -> np.ndarray:
+    """The place (D, 3) nearest to each of ``points`` [m] (D, 3) on the faces of ``cloth``, with the normals ``facing``
+    (F, 3), that look the other way than its ``face`` (D,); the point itself, where none is within ``ALIKE_M``."""
+    found, way = points.copy(), facing[face]
+    for axis, sign in product(range(3), (-1.0, 1.0)):
+        own = np.flatnonzero((np.abs(way).argmax(axis=1) == axis) & (sign * way[:, axis] > 0.0))
+        faces = cloth.faces[sign * facing[:, axis] < 0.0]
+        if len(own) and len(faces):
+            near = closest_point(points[own], cloth.vertices, faces)
+            close = near.distance < ALIKE_M
+            found[own[close]] = near.point[close]
+    return found
 
 
 def _loops_of_trunk(

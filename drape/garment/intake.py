@@ -51,7 +51,7 @@ from drape.garment.strays import without_strays
 from drape.garment.wearer_pictures import pictured
 
 # Raised when garments change that were not modelled on the standard body, as when another wearer is found.
-MOVED_VERSION = 10
+MOVED_VERSION = 11
 INTAKE_VERSION = 5  # raised when a change here changes the garments that come out
 _LATE_OPTIONS = ("patches", "rest", "fabric", "uv_unit_m")  # at their defaults they leave older digests unchanged
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -17,7 +17,8 @@ from drape.garment.mesh_checks import UNITS_M
 from drape.garment.registration import unpack_parameters
 from drape.garment.wearer_fields import SHAPES
 
-ODD = {"inch": 0.02, "free": 0.12, "x up": 0.02, "downward": 0.1, "facing": 0.05}  # costs of readings that few write
+# Costs of readings that few write. Files turned round are not so few; of 31 garments 27 fit worse by 0.02 or more.
+ODD = {"inch": 0.02, "free": 0.12, "x up": 0.02, "downward": 0.1, "sideways": 0.05, "backward": 0.02}
 FREE_WORSE = 0.03  # a size between the units must fit better by this
 AXES = ("+y", "-y", "+z", "-z", "+x", "-x")
 USUAL_FRONTS = {"+y": ("+z",), "+z": ("-y", "+x"), "+x": ("+y", "+z", "-z")}
@@ -45,7 +46,14 @@ class Reading:
         write."""
         odd = ODD.get(self.unit, 0.0) + (ODD["x up"] if self.up == "+x" else 0.0)
         odd += ODD["downward"] if self.up not in USUAL_FRONTS else 0.0
-        return odd + (ODD["facing"] if self.front not in USUAL_FRONTS.get(self.up, ()) else 0.0)
+        fronts = USUAL_FRONTS.get(self.up, ())
+        backward = self.turned_round.front in fronts
+        return odd + (0.0 if self.front in fronts else ODD["backward" if backward else "sideways"])
+
+    @property
+    def turned_round(self) -> Reading:
+        """The same reading but for the front, which is this one's back."""
+        return replace(self, front=("-" if self.front[0] == "+" else "+") + self.front[1])
 
     def apply(self, points: np.ndarray) -> np.ndarray:
         """Returns ``points`` (N, 3) of the file in metres, y up, facing +z; the origin stays."""
@@ -132,14 +140,32 @@ class WearerCandidate:
         return f"{who} of {self.height_m:.2f} m, {arms}, {unit}{axes}"
 
     @property
+    def axes(self) -> dict[str, str | float]:
+        """Returns the reading as an avatar states it: "unit", a name or a number of metres, "up" and "facing"."""
+        unit = self.reading.unit if self.reading.unit in UNITS_M else float(f"{self.reading.scale:.6g}")
+        return {"unit": unit, "up": self.reading.up.lstrip("+"), "facing": self.reading.front.lstrip("+")}
+
+    @property
+    def doubts(self) -> list[str]:
+        """Returns a sentence for each of the ``others``: what the garment may be as well, and the avatar that says
+        so."""
+        sentences = []
+        for other in self.others:
+            backward = other.reading == self.reading.turned_round
+            seems = "it may be worn back to front" if backward else f"it may be for {other.words}{other.unlike(self)}"
+            how = "its wearer's others have the avatar of that"
+            if other.reading != self.reading:
+                how = f"the avatar {json.dumps(other.axes)} takes it so"
+            sentences.append(f"{seems}: {how}")
+        return sentences
+
+    @property
     def options(self) -> dict[str, str]:
         """Returns the form fields of an upload that choose this body: "avatar", with unit, axes, betas, pose and
         translation as JSON text."""
-        unit = self.reading.unit if self.reading.unit in UNITS_M else float(f"{self.reading.scale:.6g}")
-        reading = {"unit": unit, "up": self.reading.up.lstrip("+"), "facing": self.reading.front.lstrip("+")}
         arrays = {"betas": self.betas, "pose": self.pose.reshape(-1), "trans": self.trans}
         numbers = {name: np.round(array, 4).tolist() for name, array in arrays.items()}
-        return {"avatar": json.dumps(reading | numbers, separators=(",", ":"))}
+        return {"avatar": json.dumps(self.axes | numbers, separators=(",", ":"))}
 
     def to_json(self) -> dict[str, Any]:
         """Returns the candidate and its ``others`` as a dictionary for JSON, as the garment's manifest holds it."""

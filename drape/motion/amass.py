@@ -13,7 +13,7 @@ import numpy as np
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import MotionError
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
-from drape.motion.clip import MotionClip
+from drape.motion.clip import MotionClip, check_frame_count
 
 MAX_ARRAY_BYTES = 512 << 20
 """Largest array [bytes] that is read: about an hour of AMASS in float64 at 120 Hz."""
@@ -31,17 +31,17 @@ _PARTS = {"root_orient": 3, "pose_body": 63}
 _RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "mocap_frame_rate_hz", "fps")
 
 
-def read_amass(path: Path) -> MotionClip:
+def read_amass(path: Path, *, most_frames: int | None = None) -> MotionClip:
     """Returns the clip of an npz with ``poses``, ``trans`` and a frame rate, turned to y up.
 
     Flat poses (F, 72 | 66 | 156 | 165) are AMASS's: z up; so are ``root_orient`` (F, 3) with ``pose_body`` (F, 63).
     Poses (F, 24, 3) are the product's: y up. A key ``up`` ("y" or "z") overrules. Nothing is unpickled. Raises
-    ``MotionError`` for any other file.
+    ``MotionError`` for any other file, and ``TooLarge`` for more than ``most_frames`` frames.
     """
     path = Path(path)
     try:
         with zipfile.ZipFile(path) as archive:
-            return _clip(_Arrays(path, archive))
+            return _clip(_Arrays(path, archive), most_frames)
     except (OSError, zipfile.BadZipFile) as cause:
         raise MotionError(
             path.name,
@@ -59,8 +59,9 @@ def rotate_world(clip_poses: np.ndarray, trans: np.ndarray, rotation: np.ndarray
     return poses, trans @ rotation.T
 
 
-def _clip(arrays: _Arrays) -> MotionClip:
+def _clip(arrays: _Arrays, most_frames: int | None) -> MotionClip:
     poses, default_up = _joint_poses(arrays)
+    check_frame_count(arrays.path.name, len(poses), most_frames)
     trans = arrays.numbers("trans")
     if trans.shape != (len(poses), 3):
         raise arrays.fault(

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from drape.errors import MotionError
-from drape.motion.clip import MotionClip
+from drape.motion.clip import MotionClip, check_frame_count
 from drape.motion.retarget import SourceSkeleton, euler_to_matrix, global_rotations, retarget
 
 MAX_JOINT_COUNT = 1000
@@ -29,22 +29,26 @@ class _Joint:
     channels: list[str] = field(default_factory=list)
 
 
-def read_bvh(path: Path, *, metres_per_unit: float | None = None, up: str | None = None) -> MotionClip:
+def read_bvh(
+    path: Path, *, metres_per_unit: float | None = None, up: str | None = None, most_frames: int | None = None
+) -> MotionClip:
     """Returns the clip of a BVH file, retargeted to the 24 SMPL joints, y up, in metres.
 
     Channels may come in any order; a joint's rotation is the product in that order. ``metres_per_unit`` None guesses
     the unit from the length of the legs; where no unit makes them a person's, the figure walks as far as an adult
     would. ``up`` ("y", "-z", ...) is the file's vertical axis; None finds the one that the person stands along. Raises
-    ``MotionError``, which names the line, for a damaged file, and for joints of no person.
+    ``MotionError``, which names the line, for a damaged file, and for joints of no person. Raises ``TooLarge``, before
+    frames are parsed, if the header declares more than ``most_frames``.
     """
     path = Path(path)
     lines = read_lines(path)
-    if not lines or lines[0][1][0].upper() != "HIERARCHY":
-        raise fault(
-            path, lines[0][0] if lines else 1, "HIERARCHY", " ".join(lines[0][1])[:60] if lines else "an empty file"
-        )
+    number, first = lines[0] if lines else (1, "an empty file")
+    if not lines or first.split()[0].upper() != "HIERARCHY":
+        raise fault(path, number, "HIERARCHY", " ".join(first.split())[:60])
     joints, motion_at = _parse_hierarchy(path, lines)
-    values, fps = _parse_motion(path, lines[motion_at:], sum(len(joint.channels) for joint in joints))
+    frame_count, fps = _parse_motion_header(path, lines[motion_at:])
+    check_frame_count(path.name, frame_count, most_frames)
+    values = _parse_frames(path, lines[motion_at + 3 :], sum(len(joint.channels) for joint in joints))
     local, places = _local_motion(joints, values)
     skeleton = SourceSkeleton(
         names=tuple(joint.name for joint in joints),
@@ -63,7 +67,8 @@ def _parse_hierarchy(path: Path, lines: list[Line]) -> tuple[list[_Joint], int]:
     joints: list[_Joint] = []
     open_blocks: list[int] = []  # The joint of each open brace.
     announced: list[int] = []  # Joints that are named, and whose brace is not open yet.
-    for at, (number, words) in enumerate(lines[1:], 1):
+    for at, (number, text) in enumerate(lines[1:], 1):
+        words = text.split()
         # Some writers open the brace on the line of the name.
         brace_follows = words[-1] == "{" and len(words) > 1
         head, rest = words[0].upper(), words[1 : len(words) - brace_follows]
@@ -122,10 +127,11 @@ def _parse_channels(path: Path, number: int, words: list[str]) -> list[str]:
     return channels
 
 
-def _parse_motion(path: Path, lines: list[Line], channel_count: int) -> tuple[np.ndarray, float]:
-    """Values (F, channels) and the frame rate [1/s]."""
+def _parse_motion_header(path: Path, lines: list[Line]) -> tuple[int, float]:
+    """The number of frames, which the ``lines`` from MOTION on hold too, and their rate [1/s]."""
     header = {}
-    for (number, words), key in zip(lines[1:3], ("Frames:", "Frame Time:"), strict=False):
+    for (number, text), key in zip(lines[1:3], ("Frames:", "Frame Time:"), strict=False):
+        words = text.split()
         if " ".join(words[: key.count(" ") + 1]).lower() != key.lower():
             raise fault(path, number, f"{key!r} and a number", repr(" ".join(words)[:60]))
         header[key] = parse_numbers(path, number, words[key.count(" ") + 1 :], count=1, what=key)[0], number
@@ -144,10 +150,16 @@ def _parse_motion(path: Path, lines: list[Line], channel_count: int) -> tuple[np
             f"{len(rows)}",
             "The file is cut off or its count is wrong.",
         )
-    values = np.array(
-        [parse_numbers(path, number, words, count=channel_count, what="a frame") for number, words in rows]
-    )
-    return values, 1.0 / frame_time
+    return int(frame_count), 1.0 / frame_time
+
+
+def _parse_frames(path: Path, rows: list[Line], channel_count: int) -> np.ndarray:
+    """The values (F, channels) of the frames in ``rows``."""
+    # One at a time: words and numbers of all would take ten times the file.
+    return np.array(
+        [np.array(parse_numbers(path, number, text.split(), count=channel_count, what="a frame"))
+         for number, text in rows]
+    )  # fmt: skip
 
 
 def _local_motion(joints: list[_Joint], values: np.ndarray) -> tuple[np.ndarray, dict[int, np.ndarray]]:
@@ -173,8 +185,8 @@ def _local_motion(joints: list[_Joint], values: np.ndarray) -> tuple[np.ndarray,
 MAX_FILE_BYTES = 128 << 20
 """Largest text file [bytes] that is read: about 20 minutes of BVH at 120 Hz."""
 
-Line = tuple[int, list[str]]
-"""A line's number, from 1, and its words."""
+Line = tuple[int, str]
+"""A line's number, from 1, and its text."""
 
 
 def read_lines(path: Path) -> list[Line]:
@@ -193,8 +205,8 @@ def read_lines(path: Path) -> list[Line]:
         text = _decoded(path.read_bytes())
     except OSError as cause:
         raise MotionError(path.name, expected="a readable file", got=str(cause), cure="Check the path.") from cause
-    split = ((number, line.split("#", 1)[0].split()) for number, line in enumerate(text.splitlines(), 1))
-    return [(number, words) for number, words in split if words]
+    cut = ((number, line.split("#", 1)[0].strip()) for number, line in enumerate(text.splitlines(), 1))
+    return [(number, line) for number, line in cut if line]
 
 
 def _decoded(payload: bytes) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from drape.arrays import check_finite, check_shape
 from drape.body.skeleton import JOINT_COUNT
-from drape.errors import MotionError
+from drape.errors import MotionError, TooLarge
 from drape.files.atomic import whole_file
 from drape.geometry.rotations import quaternion_multiply, quaternion_slerp, quaternion_to_rotvec, rotvec_to_quaternion
 
@@ -119,6 +119,13 @@ class MotionClip:
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as stream:
             np.savez_compressed(stream, **arrays)
+
+
+def check_frame_count(name: str, count: int, most_frames: int | None) -> None:
+    """Refuses (``TooLarge``) a motion called ``name`` of more than ``most_frames`` frames; None is no limit."""
+    if most_frames is not None and count > most_frames:
+        cure = "Cut it, or export it at a lower rate."
+        raise TooLarge(name, expected=f"at most {most_frames} frames", got=str(count), cure=cure)
 
 
 def joint_steps(clip: MotionClip) -> np.ndarray:

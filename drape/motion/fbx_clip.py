@@ -8,16 +8,17 @@ import numpy as np
 
 from drape.errors import MotionError
 from drape.files.fbx import read_animation
-from drape.motion.clip import MotionClip
+from drape.motion.clip import MotionClip, check_frame_count
 from drape.motion.joint_names import ancestors
 from drape.motion.node_clip import MovingNodes, file_bytes, node_clip
 
 
-def read_fbx_motion(path: Path, *, clip: str | None = None) -> MotionClip:
+def read_fbx_motion(path: Path, *, clip: str | None = None, most_frames: int | None = None) -> MotionClip:
     """Returns the animation called ``clip`` in an FBX file, its longest if none is named, at the file's rate and
     retargeted to the 24 SMPL joints.
 
-    Raises ``MotionError`` where there is none of a person, and where ufbx is not installed.
+    Raises ``MotionError`` where there is none of a person, and where ufbx is not installed, and ``TooLarge`` for more
+    than ``most_frames`` frames.
     """
     path = Path(path)
 
@@ -25,6 +26,7 @@ def read_fbx_motion(path: Path, *, clip: str | None = None) -> MotionClip:
         return MotionError(path.name, expected=expected, got=got, cure=cure)
 
     held = read_animation(file_bytes(path), fault, clip=clip)
+    check_frame_count(path.name, len(held.moves), most_frames)
     order, parents = _parents_first(held.parents)
     rest = np.tile(np.eye(4), (len(order), 1, 1))
     rest[:, :3] = held.rest[order]

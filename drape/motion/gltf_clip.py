@@ -9,13 +9,13 @@ from typing import Annotated
 import numpy as np
 from pydantic import ValidationError
 
-from drape.errors import DrapeError, MotionError
+from drape.errors import DrapeError, MotionError, TooLarge
 from drape.files.beside import file_beside
 from drape.files.gltf import FILE_BYTES, GltfFile
 from drape.files.gltf_json import EXPORT, FIRST_ONLY, Index, Part, Text
 from drape.files.gltf_nodes import node_matrix, tree_of, world_matrices
 from drape.geometry.rotations import matrix_to_quaternion, quaternion_slerp
-from drape.motion.clip import MotionClip
+from drape.motion.clip import MotionClip, check_frame_count
 from drape.motion.node_clip import MovingNodes, check_node_count, file_bytes, node_clip
 
 RATES = (15.0, 120.0)  # A clip has the rate of its keys, within these limits.
@@ -58,12 +58,12 @@ class Animation(Part):
 Keys = tuple[np.ndarray, np.ndarray, str]  # Times (K,) [s], values (K, n) and how values lie between them.
 
 
-def read_gltf_motion(path: Path, *, clip: str | None = None) -> MotionClip:
+def read_gltf_motion(path: Path, *, clip: str | None = None, most_frames: int | None = None) -> MotionClip:
     """Returns the animation called ``clip`` in a GLB, glTF, VRM or VRMA file, its longest if none is named, retargeted
     to the 24 SMPL joints.
 
     Nodes are joints by VRM's bones where the file has them, else by their names. Raises ``MotionError`` for a file
-    without an animation of a person.
+    without an animation of a person, and ``TooLarge`` for more than ``most_frames`` frames.
     """
     path = Path(path)
     try:
@@ -72,8 +72,8 @@ def read_gltf_motion(path: Path, *, clip: str | None = None) -> MotionClip:
         )
         animations = _animations(file, clip)
         tracks = max((_tracks(file, animation) for animation in animations), key=_length_s)
-        return node_clip(_moving(file, tracks), name=clip or path.stem)
-    except MotionError:
+        return node_clip(_moving(file, tracks, most_frames), name=clip or path.stem)
+    except (MotionError, TooLarge):
         raise
     except DrapeError as error:
         raise MotionError(error.name, expected=error.expected, got=error.got, cure=error.cure) from error
@@ -133,11 +133,11 @@ def _length_s(tracks: Tracks) -> float:
     return max(float(times[-1] - times[0]) for times, _, _ in tracks.values())
 
 
-def _moving(file: GltfFile, tracks: Tracks) -> MovingNodes:
+def _moving(file: GltfFile, tracks: Tracks, most_frames: int | None) -> MovingNodes:
     """The nodes of ``file`` in the frames of ``tracks``."""
     order, parents = tree_of(file)
     nodes = [file.document.nodes[node] for node in order]
-    times = _frame_times(file, tracks, len(order))
+    times = _frame_times(file, tracks, len(order), most_frames)
     local = np.array([node_matrix(node) for node in nodes]).reshape(-1, 4, 4)
     scales = np.linalg.norm(local[:, :3, :3], axis=1)
     turns = matrix_to_quaternion(local[:, :3, :3] / np.maximum(scales, 1e-12)[:, None])
@@ -157,7 +157,7 @@ def _moving(file: GltfFile, tracks: Tracks) -> MovingNodes:
     )  # fmt: skip
 
 
-def _frame_times(file: GltfFile, tracks: Tracks, nodes: int) -> np.ndarray:
+def _frame_times(file: GltfFile, tracks: Tracks, nodes: int, most_frames: int | None) -> np.ndarray:
     """The times [s] of the clip's frames, at the rate of the keys."""
     keys = max((times for times, _, _ in tracks.values()), key=len)
     start, end = (end([edge for times, _, _ in tracks.values() for edge in times[[0, -1]]]) for end in (min, max))
@@ -165,6 +165,7 @@ def _frame_times(file: GltfFile, tracks: Tracks, nodes: int) -> np.ndarray:
     step = float(np.median(steps[steps > 1e-6])) if (steps > 1e-6).any() else np.inf
     rate = SPARSE_RATE if 1.0 / step < RATES[0] else min(round(1.0 / step, 2), RATES[1])
     count = round((end - start) * rate) + 1
+    check_frame_count(file.label, count, most_frames)
     check_node_count(count, nodes, file.label)
     return start + np.arange(count) / rate
 

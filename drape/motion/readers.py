@@ -13,21 +13,21 @@ from drape.motion.fbx_clip import read_fbx_motion
 from drape.motion.gltf_clip import read_gltf_motion
 
 _OF_SCENES = {**dict.fromkeys((".glb", ".gltf", ".vrm", ".vrma"), read_gltf_motion), ".fbx": read_fbx_motion}
-_READERS: dict[str, Callable[[Path], MotionClip]] = {".npz": read_amass, ".bvh": read_bvh}
+_READERS: dict[str, Callable[..., MotionClip]] = {".npz": read_amass, ".bvh": read_bvh}
 MOTION_SUFFIXES = (*_READERS, *_OF_SCENES)
 
 
-def read_motion(path: Path, *, clip: str | None = None) -> MotionClip:
+def read_motion(path: Path, *, clip: str | None = None, most_frames: int | None = None) -> MotionClip:
     """Returns the clip in an npz file (AMASS's form or our own), BVH, GLB, glTF, VRM, VRMA or FBX, with 24 joints, y
     up, in metres.
 
     Of a scene with several animations it is the one called ``clip``, or the longest. Raises ``MotionError`` for a file
-    of another kind or one that cannot be read.
+    of another kind or one that cannot be read, and ``TooLarge`` for more than ``most_frames`` frames.
     """
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix in _OF_SCENES:
-        return _OF_SCENES[suffix](path, clip=clip)
+        return _OF_SCENES[suffix](path, clip=clip, most_frames=most_frames)
     reader = _READERS.get(suffix)
     if reader is None:
         raise MotionError(
@@ -40,4 +40,4 @@ def read_motion(path: Path, *, clip: str | None = None) -> MotionClip:
         raise MotionError(
             f"{path.name}: clip", expected="none", got=repr(clip)[:60], cure="It has no clips to choose from."
         )
-    return reader(path)
+    return reader(path, most_frames=most_frames)

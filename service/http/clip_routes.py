@@ -66,6 +66,7 @@ from service.http.json_body import (
     validate_document,
 )
 from service.http.openapi import clip_schema, responses
+from service.http.problems import JsonSource
 from service.http.undressing import undressed_avatar
 from service.state import ClientHere, State, StateHere
 
@@ -74,6 +75,7 @@ if TYPE_CHECKING:
     from service.settings import Settings
 
 router = APIRouter()
+CLIP_END = JsonSource("request body", "End the CLIP message with a JSON object.", "a clip whose last part is not JSON")
 NUMBER_TEXT_BYTES = 20  # of one coordinate in JSON, with its comma
 KINDS = (BINARY, GLB, JSON)
 FILES = (*KINDS, PC2, USDA, USDZ, VAT)
@@ -253,8 +255,8 @@ async def _clip(
     if content_type(request) == BINARY:
         sent = await request.body()
         text, poses, trans = unpack_clip(sent)
-        document = await brief(text, partial(read_document, text, otherwise="a clip whose last part is not JSON"))
-        asked, on_rig = await brief(text, validate_document, options, document), of_rig(poses)
+        document = await brief(text, partial(read_document, text, source=CLIP_END))
+        asked, on_rig = await brief(text, partial(validate_document, options, document, source=CLIP_END)), of_rig(poses)
     else:
         sent = await json_text(request)
         await check_marks(sent, state.sliced_thread, most_marks=clip_marks(most))

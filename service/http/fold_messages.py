@@ -16,7 +16,9 @@ from drape.wire.messages import WIRE_VERSION
 from drape.wire.options import FabricChoice, FabricNumbers
 from service.http.json_body import read_document, validate_document
 from service.http.kept import packed_text
+from service.http.problems import JsonSource
 
+FABRIC = JsonSource("fabric", "Send a fabric's name, or its numbers as a JSON object.")
 KEPT = 8  # the most messages in memory, of some 1.5 MB compressed
 
 
@@ -25,7 +27,9 @@ def queried_fabric(text: str | None) -> FabricChoice | None:
     text. Refuses (``InputError``) an object with other fields."""
     if not text:
         return None
-    return validate_document(FabricNumbers, read_document(text.encode())) if text.startswith("{") else text
+    if not text.startswith("{"):
+        return text
+    return validate_document(FabricNumbers, read_document(text.encode(), source=FABRIC), source=FABRIC)
 
 
 def pack_message(

@@ -18,7 +18,7 @@ from drape.body.skeleton import JOINT_COUNT
 from drape.errors import TooLarge
 from drape.wire.options import Advanced, DrapeOptions, wire_names
 from service.compute.threads import BRIEF_TEXT, SlicedThread
-from service.http.problems import not_json, validation_refusal
+from service.http.problems import BODY, JsonSource, not_json, validation_refusal
 
 MARKS = b",:[{"
 _OTHER_BYTES = bytes(byte for byte in range(256) if byte not in MARKS)
@@ -26,7 +26,6 @@ FRAME_MARKS = 4 * JOINT_COUNT + 5  # the marks of a frame: 24 x 3 numbers in pos
 SMALL_MARKS = 10_000  # the most marks of a request without poses
 PIECE_BYTES = 256 * 1024  # counted in half a millisecond
 JSON = "application/json"
-NO_JSON = "text that is not JSON"
 
 Asked = TypeVar("Asked", bound=BaseModel)
 
@@ -37,13 +36,13 @@ def clip_marks(max_frames: int) -> int:
     return 5 * max_frames * FRAME_MARKS // 4 + SMALL_MARKS
 
 
-def read_document(text: bytes, *, otherwise: str = NO_JSON) -> Any:
-    """Returns the value of the JSON ``text``. Refuses (``TooLarge``) more than ``SMALL_MARKS`` marks, and
-    (``InputError``) text that is not JSON, as which ``otherwise`` describes it."""
+def read_document(text: bytes, *, source: JsonSource = BODY) -> Any:
+    """Returns the value of the JSON ``text`` of ``source``. Refuses (``TooLarge``) more than ``SMALL_MARKS`` marks, and
+    (``InputError``) text that is not JSON."""
     marks = 0
     for more in _marks(text):
-        marks = _check_count(marks + more, SMALL_MARKS)
-    return parse_text(text, otherwise=otherwise)
+        marks = _check_count(marks + more, SMALL_MARKS, source)
+    return parse_text(text, source=source)
 
 
 async def check_marks(text: bytes, sliced_thread: SlicedThread, *, most_marks: int) -> None:
@@ -63,10 +62,10 @@ def _marks(text: bytes) -> Iterator[int]:
         yield len(text[start : start + PIECE_BYTES].translate(None, _OTHER_BYTES))
 
 
-def _check_count(marks: int, most_marks: int) -> int:
+def _check_count(marks: int, most_marks: int, source: JsonSource = BODY) -> int:
     if marks > most_marks:
         raise TooLarge(
-            "request body",
+            source.name,
             expected=f"at most {most_marks} commas, colons and opening brackets",
             got="more",
             cure="Send less in one request.",
@@ -74,18 +73,18 @@ def _check_count(marks: int, most_marks: int) -> int:
     return marks
 
 
-def parse_text(text: bytes, *, otherwise: str = NO_JSON) -> Any:
-    """Returns the value of the JSON ``text``, whose marks the caller has checked. Refuses (``InputError``) text that is
-    not JSON, as which ``otherwise`` describes it."""
+def parse_text(text: bytes, *, source: JsonSource = BODY) -> Any:
+    """Returns the value of the JSON ``text`` of ``source``, whose marks the caller has checked. Refuses
+    (``InputError``) text that is not JSON."""
     try:
         return from_json(text, cache_strings="none")
     except ValueError as error:
-        raise not_json(otherwise) from error
+        raise not_json(source.otherwise, source) from error
 
 
-def validate_document(model: type[Asked], document: Any) -> Asked:
-    """Returns ``document``, a value of JSON, as an instance of ``model``. Refuses (``InputError``) it for the first
-    field that is wrong."""
+def validate_document(model: type[Asked], document: Any, *, source: JsonSource = BODY) -> Asked:
+    """Returns ``document``, the value of the JSON of ``source``, as an instance of ``model``. Refuses (``InputError``)
+    it for the first field that is wrong."""
     known = set(wire_names(model).values())
     known |= Advanced.model_fields.keys() if issubclass(model, DrapeOptions) else set()
     if isinstance(document, dict):
@@ -94,7 +93,7 @@ def validate_document(model: type[Asked], document: Any) -> Asked:
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        raise validation_refusal(error.errors(include_url=False), sorted(known)) from error
+        raise validation_refusal(error.errors(include_url=False), sorted(known), source) from error
 
 
 async def json_text(request: Request) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -56,9 +56,21 @@ def install_handlers(app: FastAPI) -> None:
         return JSONResponse(document, status_code=error.status_code, media_type=PROBLEM, headers=error.headers)
 
 
-def validation_refusal(errors: Sequence[Any], known: Iterable[str] = ()) -> InputError:
-    """Returns the refusal for the first of pydantic's ``errors``: a ``MotionError`` for poses, translations and shapes,
-    else an ``InputError``. ``known`` are the names of the fields that exist, for a misspelt one.
+class JsonSource(NamedTuple):
+    """Where JSON came from, for refusals: its ``name``, the ``cure`` where it holds no JSON object, and the words for
+    text that is not JSON (``otherwise``)."""
+
+    name: str
+    cure: str
+    otherwise: str = "text that is not JSON"
+
+
+BODY = JsonSource("request body", "Send JSON with Content-Type: application/json.")
+
+
+def validation_refusal(errors: Sequence[Any], known: Iterable[str] = (), source: JsonSource = BODY) -> InputError:
+    """Returns the refusal for the first of pydantic's ``errors`` in ``source``: a ``MotionError`` for poses,
+    translations and shapes, else an ``InputError``. ``known`` are the names of its fields, for a misspelt one.
 
     A field that may have several types has an error for each. The one for the deepest part of the field is used.
     """
@@ -67,7 +79,7 @@ def validation_refusal(errors: Sequence[Any], known: Iterable[str] = ()) -> Inpu
     location = _without_kinds([part for part in first["loc"] if part not in ("query", "path", "header")], first["type"])
     more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
     if not location:
-        return not_json(_shown(first))
+        return not_json(_shown(first), source)
     field = _shortened(str(location[0]))
     name = field + "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location[1:])
     levels = _LEVELS.get(field)
@@ -89,10 +101,9 @@ def validation_refusal(errors: Sequence[Any], known: Iterable[str] = ()) -> Inpu
     return MotionError(name, expected=expected, got=got + more, cure=_CURES[field])
 
 
-def not_json(got: str) -> InputError:
-    """Returns the refusal of a body that is no JSON object but ``got``."""
-    cure = "Send JSON with Content-Type: application/json."
-    return InputError("request body", expected="a JSON object", got=got, cure=cure)
+def not_json(got: str, source: JsonSource = BODY) -> InputError:
+    """Returns the refusal of a ``source`` that holds no JSON object but ``got``."""
+    return InputError(source.name, expected="a JSON object", got=got, cure=source.cure)
 
 
 def check_query(names: Iterable[str], known: tuple[str, ...]) -> None:

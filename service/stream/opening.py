@@ -19,11 +19,13 @@ from drape.wire import messages as wire
 from service.errors import TooSlow
 from service.guard.limits import PACE_BYTES_S
 from service.http.json_body import read_document, validate_document
+from service.http.problems import JsonSource
 from service.http.schemas import OpenRequest
 from service.state import State
 from service.stream.session import CREDIT, Opening
 
 OPEN_S = 5.0  # the time for the opening message
+MESSAGE = JsonSource("open message", 'Send {"type": "open", "garment": ...} first.')
 
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
@@ -44,10 +46,10 @@ async def first_text(socket: WebSocket, pieces: Incoming) -> str:
             message = await asyncio.wait_for(socket.receive(), max(0.0, until_s - time.monotonic()))
         except TimeoutError:
             raise TooSlow(
-                "open message",
+                MESSAGE.name,
                 expected=f"an open message within {OPEN_S:g} s",
                 got="nothing" if not pieces.messages else f"{pieces.size} bytes of a state",
-                cure='Send {"type": "open", "garment": ...} first.',
+                cure=MESSAGE.cure,
             ) from None
         payload = message.get("bytes")
         if payload is None or payload[5:6] != bytes([wire.STATE]):
@@ -60,16 +62,14 @@ def text_of(message: Any) -> str:
         raise WebSocketDisconnect(message.get("code", 1005))
     text = message.get("text")
     if text is None:
-        raise InputError(
-            "open message", expected="JSON text", got="bytes", cure='Send {"type": "open", "garment": ...} first.'
-        )
+        raise InputError(MESSAGE.name, expected="JSON text", got="bytes", cure=MESSAGE.cure)
     return text
 
 
 async def read_opening(text: str, state: State, client: Client) -> Opening:
     """Returns the opening that ``text``, the JSON of an ``OpenRequest``, asks for, after making all constants that its
     frames need. Refuses what the request or its scene and options refuse."""
-    request = validate_document(OpenRequest, read_document(text.encode()))
+    request = validate_document(OpenRequest, read_document(text.encode(), source=MESSAGE), source=MESSAGE)
     runtime = state.runtime
     scene = await state.requested_scene(request, client)
     plan = runtime.plan(scene, request, messages=True)

@@ -71,14 +71,6 @@ class Job:
         return self.state not in ("queued", "running")
 
 
-WARNING = "warning: "  # notes of an intake that the client should read begin with it
-
-
-def warnings_of(notes: Iterable[str]) -> tuple[str, ...]:
-    """Returns the ``notes`` of an intake that begin with ``WARNING``, without it."""
-    return tuple(note.removeprefix(WARNING) for note in notes if note.startswith(WARNING))
-
-
 class Uploads:
     """The uploads of a service: a queue, and ``DRAPE_INTAKE_WORKERS`` workers. Files lie in the folder ``staging``
     until they are garments or avatars. Uploads to other services with the same folder of garments can be asked for
@@ -304,9 +296,9 @@ class Uploads:
         the intake found from the cloth, None if it was named."""
         if job.kind == "avatar":
             return tuple(self._runtime.avatars.get(job.results[-1], job.owner).facts.notes), None
-        manifests = [self._runtime.garments.get(garment, job.owner).garment.manifest for garment in job.results]
-        notes = dict.fromkeys(note for manifest in manifests for note in warnings_of(manifest.get("notes", ())))
-        return tuple(notes), manifests[-1].get("wearer")
+        garments = [self._runtime.garments.get(garment, job.owner).garment for garment in job.results]
+        notes = dict.fromkeys(note for garment in garments for note in garment.warnings)
+        return tuple(notes), garments[-1].manifest.get("wearer")
 
     async def _run_intake(self, job: Job, folder: Path, accepted: Accepted) -> tuple[str, ...]:
         """Runs the intake of ``accepted``, whose file lies in ``folder``, and puts what it makes in service. Returns

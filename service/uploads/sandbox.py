@@ -25,7 +25,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from drape.errors import DrapeError, MeshError, MotionError, TooLarge
+from drape.errors import DrapeError, MeshError, MotionError
 from drape.forked import end_with_parent, may_fork
 from service.compute.background import processor_count, step_back
 
@@ -117,10 +117,7 @@ def motion_file(file: Path, out: Path, *, clip: str | None) -> Path:
     does. Returns the path. Raises ``TooLarge`` for more than ``MOST_FRAMES`` frames."""
     from drape.motion.readers import read_motion
 
-    motion = read_motion(file, clip=clip)
-    if motion.frame_count > MOST_FRAMES:
-        expected, cure = f"at most {MOST_FRAMES} frames", THINGS["motion"].smaller
-        raise TooLarge(file.name, expected=expected, got=str(motion.frame_count), cure=cure)
+    motion = read_motion(file, clip=clip, most_frames=MOST_FRAMES)
     path = out / "motion.npz"
     motion.save(path)
     return path

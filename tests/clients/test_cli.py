@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from clients.cli import main
+from clients.calls import get_call
+from clients.cli import _progress, main
 from clients.client import DrapeClient
+from clients.job_steps import upload_steps
 from drape.garment.files.obj_mesh import read_obj
 from drape.motion.readers import read_motion
 from tests.architecture.repository import ROOT
@@ -140,6 +142,17 @@ def test_an_upload_that_fails_says_why(live: str, tmp_path: Path, capsys: pytest
     assert main(["upload", str(noise), "--url", live, "--avatar", "standard"]) == 2
     *progress, refusal = capsys.readouterr().err.splitlines()
     assert refusal.startswith("drape: ") and all(line.startswith("noise: ") for line in progress)
+
+
+def test_notes_of_an_upload_are_said_at_its_end(capsys: pytest.CaptureFixture[str]):
+    job = {"id": "j", "name": "shirt", "state": "running", "stage": "rest", "share": 0.5, "garment": None, "notes": []}
+    steps = upload_steps(get_call("jobs", "j"), "garment", 60.0, _progress())
+    next(steps)
+    steps.send(job)
+    next(steps)
+    with pytest.raises(StopIteration):
+        steps.send(job | {"state": "done", "stage": None, "share": 1.0, "garment": "shirt", "notes": ["turn it"]})
+    assert capsys.readouterr().err.splitlines() == ["shirt: rest, 50 %", "shirt: done, 100 %", "shirt: turn it"]
 
 
 def test_it_runs_as_a_module():

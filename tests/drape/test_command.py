@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from drape.command import ELSEWHERE, main
+from drape.garment.cache import GARMENTS_DIR, load_garment, save_garment
 
 
 @pytest.fixture
@@ -65,6 +67,14 @@ def test_a_garment_is_worn_into_a_file(suffix: str, stop: Path, tmp_path: Path, 
     beside = {".pc2": ["worn.obj"], ".mdd": ["worn.obj"], "_vat.exr": ["worn-remap_info.json", "worn.glb"]}
     assert sorted(Path(one).name for one in told["beside"]) == beside.get(suffix, [])
     assert all(Path(one).is_file() for one in told["beside"])
+
+
+def test_warnings_of_a_garments_intake_are_said(stop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    tank = load_garment(next(GARMENTS_DIR.glob("tank-*.npz")))
+    doubted = replace(tank, manifest=tank.manifest | {"notes": ["4 openings", "warning: it may be worn back to front"]})
+    path = save_garment(doubted, tmp_path)
+    assert main(["wear", str(path), str(stop), "--out", str(tmp_path / "worn.npy"), "--tier", "instant"]) == 0
+    assert capsys.readouterr().err.splitlines() == ["tank: it may be worn back to front"]
 
 
 @pytest.mark.parametrize(

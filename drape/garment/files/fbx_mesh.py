@@ -9,7 +9,16 @@ import numpy as np
 
 from drape.files.fbx import FbxMesh, read_scene
 from drape.garment.files.fbx_looks import fbx_looks
-from drape.garment.files.mesh import Beside, GarmentMesh, MeshPart, check_count, fans, join_parts, mesh_fault
+from drape.garment.files.mesh import (
+    Beside,
+    GarmentMesh,
+    MeshPart,
+    check_count,
+    fans,
+    in_stated_unit,
+    join_parts,
+    mesh_fault,
+)
 
 NO_MATERIAL = -1  # the number of a face without a material
 
@@ -20,12 +29,13 @@ def read_fbx(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = l
     scene = read_scene(payload, lambda expected, got, cure: mesh_fault(name, expected, got, cure))
     parts = list(_parts(scene.meshes, name, vertex_limit))
     mesh = join_parts(name, [part for part, _ in parts])
+    points, unit_note = in_stated_unit(mesh.vertices, scene.unit_m)
     used, material = np.unique(np.concatenate([numbers for _, numbers in parts]), return_inverse=True)
     records = [None if number == NO_MATERIAL else scene.materials[number] for number in used]
     looks, notes = fbx_looks(records, scene.pictures, beside)
     names = tuple("default" if record is None else record["name"] for record in records)
     mesh = replace(mesh, material_names=names, face_material=material.reshape(-1), looks=looks)
-    return mesh.noted(f"the file states its unit: {scene.unit_m:g} m", *notes)
+    return replace(mesh, vertices=points).noted(unit_note, *notes)
 
 
 def _parts(meshes: list[FbxMesh], name: str, vertex_limit: int) -> Iterator[tuple[MeshPart, np.ndarray]]:

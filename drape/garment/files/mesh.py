@@ -26,6 +26,7 @@ VERTEX_LIMIT = 400_000
 AVATAR_VERTEX_LIMIT = 400_000
 Beside = Callable[[str], bytes | None]
 """The bytes of a file that a mesh file names, None where it is not there."""
+NOTHING_M = 0.05  # nothing is worn so near the origin: a ring lies on no finger there, and no garment on a body
 MATERIAL_CHARACTERS = 200  # a longer name is cut
 
 
@@ -158,6 +159,19 @@ def read_payload(payload: bytes, *, name: str, kind: str, vertex_limit: int, bes
     read = getattr(import_module(f"{__package__}.{module}"), function)
     more = {"beside": beside} if form.names_others else {}
     return read(payload, name=name, vertex_limit=vertex_limit, **more)
+
+
+def in_stated_unit(points: np.ndarray, unit_m: float) -> tuple[np.ndarray, str]:
+    """Returns ``points`` [m] (N, 3) of a file that states its unit, and a note of that.
+
+    Where they lie so near to the origin that nothing is worn there, the file's own numbers are returned and the note is
+    a warning: programs write metres and state centimetres.
+    """
+    farthest_m = float(np.abs(points).max(initial=0.0))
+    if 0.0 < unit_m < 1.0 and farthest_m < NOTHING_M:
+        within = f"in which it all lies within {100.0 * farthest_m:.2g} cm of its origin"
+        return points / unit_m, f"warning: the file states its unit, {unit_m:g} m, {within}: that is not counted"
+    return points, f"the file states its unit: {unit_m:g} m"
 
 
 def _too_large(size: int) -> tuple[str, str, str]:

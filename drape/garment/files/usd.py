@@ -16,7 +16,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drape.garment.files.archive import files_beside, zip_members
-from drape.garment.files.mesh import Beside, GarmentMesh, MeshPart, check_count, fans, join_parts, mesh_fault
+from drape.garment.files.mesh import (
+    Beside,
+    GarmentMesh,
+    MeshPart,
+    check_count,
+    fans,
+    in_stated_unit,
+    join_parts,
+    mesh_fault,
+)
 from drape.garment.files.usd_looks import coordinates_of, usd_looks
 
 MOST_PRIMS = 100_000
@@ -137,7 +146,7 @@ def _joined(parts: list[_Part], stage: Any, name: str, beside: Beside) -> Garmen
     mesh, geometry = join_parts(name, [part.mesh for part in parts]), import_module("pxr.UsdGeom")
     stated_m = geometry.GetStageMetersPerUnit(stage) if geometry.StageHasAuthoredMetersPerUnit(stage) else 1.0
     upright = geometry.GetStageUpAxis(stage) == geometry.Tokens.y
-    points = stated_m * mesh.vertices
+    points, unit_note = in_stated_unit(stated_m * mesh.vertices, stated_m)
     if not upright:
         points = np.stack([points[:, 0], points[:, 2], -points[:, 1]], axis=1)
     materials = list(dict.fromkeys(one for part in parts for one in part.materials))
@@ -148,5 +157,5 @@ def _joined(parts: list[_Part], stage: Any, name: str, beside: Beside) -> Garmen
     mesh = replace(mesh, vertices=points, material_names=names, face_material=material.astype(np.int64), looks=looks)
     mesh = mesh.noted(*notes)
     if stated_m != 1.0:
-        mesh = mesh.noted(f"the file states its unit: {stated_m:g} m")
+        mesh = mesh.noted(unit_note)
     return mesh if upright else mesh.noted("turned from z up to y up")

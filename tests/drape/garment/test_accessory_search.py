@@ -10,10 +10,12 @@ import pytest
 
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
+from drape.garment.accessories import carriers_of
 from drape.garment.accessory_search import accessory_wearer, seated
 from drape.garment.avatars import standard_avatar
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake import intake_mesh
+from drape.garment.mesh_checks import UNITS_M
 from drape.garment.reading_hints import ReadingHints
 from drape.garment.registration import posed_by
 from drape.garment.seats import are_glasses
@@ -112,6 +114,37 @@ def test_a_thing_at_its_place_in_the_file_tells_unit_and_axes(thing: str, unit: 
         replace(mesh, vertices=(mesh.vertices - [0.0, rise, 0.0]) @ reading.turn / reading.scale), BODY
     )
     assert found is not None and (found.reading, found.origin) == (reading, origin)
+
+
+def hood(skin: np.ndarray) -> GarmentMesh:
+    """A dome over the head and a tube to the neck, open before the face and below."""
+    head = head_of(skin)
+    unit, faces = tube(40, 14, radius_m=1.0, height_m=1.0)
+    down = 3.0 * unit[:, 1:2]  # [rad] from the crown to the ears, and straight on
+    dome, half = np.minimum(down, 0.5 * np.pi), 0.5 * np.ptp(head, axis=0) + 0.03
+    points = np.sin(dome) * unit * [1.0, 0.0, 1.0] + (np.cos(dome) + dome - down) * [0.0, 1.0, 0.0]
+    mesh = plain_mesh("hood", points * half + 0.5 * (head.min(axis=0) + head.max(axis=0)), faces)
+    return mesh.take_faces(unit[faces].mean(axis=1)[:, 2] < 0.7)
+
+
+@pytest.mark.parametrize("unit", ["m", "cm", "mm", "inch"])
+def test_a_hood_is_worn_on_the_head_in_any_unit_and_faces_where_it_is_open(unit: str):
+    """In centimetres it hung at the hips, which are as high over a floor."""
+    for up, front, origin in (("+y", "+z", "root"), ("+y", "-z", "root"), ("+z", "+x", "floor")):
+        reading = Reading(unit, UNITS_M[unit], up, front)
+        mesh, rise = hood(WOMAN), WOMAN[:, 1].min() if origin == "floor" else 0.0
+        file = replace(mesh, vertices=(mesh.vertices - [0.0, rise, 0.0]) @ reading.turn / reading.scale)
+        found = accessory_wearer(file, BODY)
+        assert found is not None and (found.reading, found.origin) == (reading, origin)
+        placed = replace(mesh, vertices=found.reading.apply(file.vertices))
+        assert not carriers_of(placed, posed_by(BODY, found.parameters), BODY)  # cloth, not carried by the head
+
+
+def test_a_short_skirt_over_its_floor_is_no_hat():
+    """It is as high as a head over its root."""
+    unit, faces = tube(40, 14, radius_m=1.0, height_m=1.0)
+    skirt = unit * [1.0, 0.0, 0.7] * (0.24 - 0.1 * unit[:, 1:2]) + unit * [0.0, 0.36, 0.0] + [0.0, 0.66, 0.0]
+    assert accessory_wearer(plain_mesh("skirt", 100.0 * skirt, faces), BODY) is None
 
 
 @pytest.mark.parametrize("thing", ["glasses", "a left shoe"])

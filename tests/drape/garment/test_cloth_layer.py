@@ -19,7 +19,7 @@ from drape.garment.sheets import with_used_vertices
 from drape.garment.sleeves import sleeve_of
 from drape.garment.wearer_fields import known_parameters
 from drape.geometry import meshes
-from tests.drape.cloth.cloth_shapes import tube
+from tests.drape.cloth.cloth_shapes import grid, tube
 from tests.drape.garment.garment_files import shirt
 from tests.drape.geometry.geometry_shapes import box
 
@@ -251,3 +251,18 @@ def test_the_inner_side_of_a_wall_hangs_on_its_own_cloth_not_on_what_it_is_neare
     drawn = hung(mesh, mesh.vertices, cloth, BODY.regressor @ SKIN, SKIN)
     assert (drawn.corner[count : 2 * count] < count).all()
     assert_allclose(Drawer(drawn, cloth.faces).draw(cloth.vertices), mesh.vertices, rtol=0, atol=1e-3)
+
+
+def test_of_sheets_that_face_each_other_each_vertex_hangs_on_its_own():
+    """Thinned cloth cuts off waves that are deeper than the gap: what it left out of a sleeve hung on the trunk."""
+
+    def sheets(step: int) -> tuple[GarmentMesh, np.ndarray]:
+        unit, faces = grid(48 // step, 240 // step, cell_m=float(step))
+        along, side = unit[:, 0], unit[:, 1] - 120.0
+        wave, gap = 0.004 * np.sin(np.pi * along / 6.0), 0.001 + 0.004 * np.maximum(np.abs(side) - 6.0, 0.0)
+        points = np.stack([0.0025 * along, 0.005 * np.abs(side), gap * np.sign(side) + wave], axis=1)
+        return plain_mesh("sheets", points, faces), np.sign(side)
+
+    (mesh, side), (cloth, cloth_side) = sheets(1), sheets(6)
+    bound = hung(mesh, mesh.vertices, cloth, np.zeros((24, 3)), np.zeros((1, 3)))
+    assert (cloth_side[bound.corner] * side[:, None] * (bound.weight > 1e-6) >= 0.0).all()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drape.errors import MotionError
+from drape.errors import MotionError, TooLarge
 from drape.motion import bvh
 from drape.motion.bvh import read_bvh
 from drape.motion.readers import read_motion
@@ -62,6 +62,15 @@ def test_nan_in_a_frame_is_refused_with_its_line(whole, tmp_path):
     lines = whole.splitlines()
     lines[-2] = lines[-2].replace(lines[-2].split()[7], "nan", 1)
     assert f"line {len(lines) - 1}: expected finite" in refusal_of(tmp_path, "\n".join(lines))
+
+
+def test_more_frames_than_are_taken_are_refused_before_they_are_parsed(whole, tmp_path):
+    path = tmp_path / "long.bvh"
+    path.write_text("\n".join([*whole.splitlines()[:-5], *["nothing"] * 5]))
+    with pytest.raises(TooLarge, match="at most 4 frames, got 5"):
+        read_motion(path, most_frames=4)
+    with pytest.raises(MotionError, match="numbers for a frame"):
+        read_motion(path, most_frames=5)
 
 
 def test_every_truncation_is_refused(whole, tmp_path):

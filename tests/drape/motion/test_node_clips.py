@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drape.errors import MotionError
+from drape.errors import MotionError, TooLarge
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
 from drape.motion.node_clip import MOST_MATRICES, check_node_count
 from drape.motion.readers import read_motion
@@ -130,6 +130,21 @@ def test_what_is_no_fbx_with_a_person_is_refused(tmp_path: Path):
 def test_an_absent_file_is_refused(name: str, tmp_path: Path):
     with pytest.raises(MotionError, match="a readable file"):
         read_motion(tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".glb", ".fbx"])
+def test_more_frames_than_are_taken_are_refused(suffix: str, tmp_path: Path):
+    if suffix == ".fbx":
+        pytest.importorskip("ufbx", reason="No ufbx: `pip install ufbx`.")
+    path = tmp_path / f"walk{suffix}"
+    if suffix == ".npz":
+        CLIP.save(path)
+    else:
+        path.write_bytes(fbx() if suffix == ".fbx" else glb(*moved("vrm", T_POSE)))
+    count = read_motion(path).frame_count
+    assert read_motion(path, most_frames=count).frame_count == count
+    with pytest.raises(TooLarge, match=f"at most {count - 1} frames, got {count}"):
+        read_motion(path, most_frames=count - 1)
 
 
 def test_too_many_frames_are_refused():

@@ -9,7 +9,6 @@ import json
 import socket
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import httpx
 import numpy as np
@@ -24,7 +23,7 @@ from service.guard.connection_times import HEAD_BYTES
 from service.settings import Settings
 from service.watch.probes import Lifecycle
 from tests.fixtures.patience import PATIENT_S, wait_until
-from tests.fixtures.serving import serve, served
+from tests.fixtures.serving import files_in, serve, served
 
 HEAD = "Host: 127.0.0.1\r\nContent-Type: {kind}\r\nContent-Length: {size}\r\n\r\n"
 
@@ -128,7 +127,7 @@ def test_bodies_that_stop_are_refused_and_their_connections_closed(
 ):
     text = said_until_closed(opened(address, post(path, kind) + b"[" * 100))
     assert "request body: expected a piece within 0.5 s" in refused(text, 408)
-    assert [file for file in Path(tight.garments_dir).rglob("*") if file.is_file()] == []
+    assert files_in(tight.garments_dir) == []
 
 
 def test_a_body_that_drips_is_refused(address: tuple[str, int]):

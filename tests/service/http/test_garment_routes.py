@@ -91,7 +91,8 @@ def records_of(message: bytes) -> dict[str, Any]:
     ],
 )  # fmt: skip
 def test_folds_of_nothing_are_refused(api: TestClient, name: str, query: dict, status: int):
-    assert api.get(f"/garments/{name}/folds", params=query).status_code == status
+    answer = api.get(f"/garments/{name}/folds", params=query)
+    assert answer.status_code == status and "Content-Type" not in answer.json()["cure"]
 
 
 def spoiled(array: np.ndarray, value: float) -> np.ndarray:

@@ -179,7 +179,7 @@ def test_binary_poses_give_the_bits_that_json_gives(api: httpx.Client, body):
         ({"colour": "red"}, 400, ["colour: expected no such field"]),
         ({"betas": [99.0]}, 422, ["betas[0]: expected at most 20"]),
         ({"content": b"noise"}, 400, ["clip message: expected at least 24 bytes, got 5 bytes"]),
-        ({"content": pack_clip({}, np.zeros((1, 24, 3)), None)[:-2] + b"[["}, 400, ["whose last part is not JSON"]),
+        ({"content": pack_clip({}, np.zeros((1, 24, 3)), None)[:-2] + b"[["}, 400, ["is not JSON. End the CLIP"]),
         ({"content": pack_clip({"poses": []}, np.zeros((1, 24, 3)), None)}, 400, ["poses: expected no such field"]),
         ({"content": pack_clip({"k": [0] * 10_001}, np.zeros((1, 24, 3)), None)}, 413, ["at most 10000 commas"]),
     ],

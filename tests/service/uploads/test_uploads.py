@@ -9,6 +9,7 @@ import re
 import signal
 import subprocess
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import httpx
@@ -24,7 +25,7 @@ from service.settings import Settings
 from service.uploads import jobs
 from service.uploads.accepted import Accepted
 from service.uploads.job_records import JobRecord, read_job_record
-from service.uploads.jobs import SHARES, Job, Uploads, warnings_of
+from service.uploads.jobs import SHARES, Job, Uploads
 from service.watch.watchdog import JOBS
 from tests.drape.cloth.cloth_shapes import tube as tube_shape
 from tests.drape.garment.garment_files import obj_text
@@ -62,9 +63,9 @@ def test_junk_fails_with_a_sentence_and_leaves_nothing(uploads: httpx.Client, up
     assert files_in(upload_settings.garments_dir) == []
 
 
-def test_of_an_intakes_notes_the_warnings_are_told_and_kept(tmp_path: Path):
+def test_of_an_intakes_notes_the_warnings_are_told_and_kept(tmp_path: Path, tube: Garment):
     left_out = "a picture is left out"
-    assert warnings_of(["2 openings", f"warning: {left_out}"]) == (left_out,)
+    assert replace(tube, manifest={"notes": ["2 openings", f"warning: {left_out}"]}).warnings == (left_out,)
     JobRecord("one", "shirt", None, "done", "shirt", notes=(left_out,)).write(tmp_path)
     kept = read_job_record(tmp_path, "one")
     assert kept is not None and list(kept.notes) == [left_out]

@@ -36,6 +36,12 @@ def test_polygons_become_fans_in_metres_with_texture_coordinates_by_corner():
     assert found.notes == ("1 polygons triangulated", "the file states its unit: 0.01 m")
 
 
+def test_a_unit_in_which_nothing_is_worn_is_warned_of_and_does_not_count():
+    found = read(fbx_of(0.01 * SQUARE, POLYGONS, UV))
+    assert_allclose(found.vertices, 0.01 * SQUARE)
+    assert found.notes[1].startswith("warning: the file states its unit, 0.01 m, in which it all lies within")
+
+
 def test_unit_axis_and_place_are_those_that_the_file_states():
     found = read(fbx_of(SQUARE, POLYGONS, UV, unit_cm=100.0, up=2, place=(0.0, 0.0, 3.0)))
     assert_allclose(found.vertices[2], [100.0, 3.0, -100.0], atol=1e-9)

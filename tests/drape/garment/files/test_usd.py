@@ -57,6 +57,13 @@ def test_unit_axis_and_place_are_those_that_the_file_states():
     assert found.notes[1:] == ("the file states its unit: 0.01 m", "turned from z up to y up")
 
 
+def test_a_unit_in_which_nothing_is_worn_is_warned_of_and_does_not_count():
+    """Centimetres are stated of metres: a garment of 2 cm was no garment."""
+    found = read(text(mesh(), "metersPerUnit = 0.01"))
+    assert_allclose(found.vertices, SQUARE)
+    assert found.notes[1].startswith("warning: the file states its unit, 0.01 m, in which it all lies within 2 cm")
+
+
 @pytest.mark.parametrize(
     "more",
     [
