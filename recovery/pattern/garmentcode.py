@@ -87,15 +87,16 @@ def pattern_from_spec(spec: Any, *, name: str = "pattern", units_in_meter: float
                 turned.add(panel_name)
             notes.append(f"panel {panel_name} runs clockwise in the file; it was turned round")
         panels.append(panel)
-    order = body.get("panel_order")
+    order = None if body.get("panel_order") is None else _member(body, "panel_order", list, "pattern")
+    stitches = _member(body, "stitches", list, "pattern", [])
     parts = {key: spec[key] for key in TEMPLATE_KEYS if key in spec}
     if backwards and any(parts.values()):
         notes.append("template parameters are left out, since edges are numbered anew")
-    own = properties.get(OWN_KEY, {})
+    own = _member(properties, OWN_KEY, dict, "properties", {})
     pattern = Pattern(
         name=str(own.get("name", name)),
         panels=tuple(panels),
-        stitches=tuple(_read_stitch(number, entry, backwards) for number, entry in enumerate(body.get("stitches", []))),
+        stitches=tuple(_read_stitch(number, entry, backwards) for number, entry in enumerate(stitches)),
         material=str(own.get("material", "")),
         panel_order=None if order is None else tuple(order),
         # Templates name edges by numbers that hold no more where an outline was run backwards.
@@ -142,8 +143,8 @@ def _euler_deg(matrix: np.ndarray) -> tuple[float, float, float]:
 # --- reading ---------------------------------------------------------------------------------------------------------
 
 
-def _member(owner: Any, key: str, kind: type, where: str) -> Any:
-    value = owner.get(key) if isinstance(owner, Mapping) else None
+def _member(owner: Any, key: str, kind: type, where: str, default: Any = None) -> Any:
+    value = owner.get(key, default) if isinstance(owner, Mapping) else None
     if not isinstance(value, kind):
         raise InputError(
             f"{where}: {key}",
@@ -192,7 +193,7 @@ def _read_panel(name: str, entry: Any, units: float, absolute: bool, centre: boo
 
 def _read_edge(where: str, entry: Any, vertices: np.ndarray, absolute: bool) -> Edge:
     ends = _numbers(_member(entry, "endpoints", list, where), (2,), f"{where}: endpoints")
-    start, end = (int(value) for value in ends)
+    start, end = (int(value) for value in np.nan_to_num(ends, nan=-1.0))
     if not (0 <= start < len(vertices) and 0 <= end < len(vertices)):
         raise InputError(
             where, expected=f"vertices in [0, {len(vertices)})", got=f"{[start, end]}", cure="Correct the endpoints."
@@ -257,8 +258,20 @@ def _read_stitch(number: int, entry: Any, backwards: Mapping[str, int]) -> Stitc
 
 
 def _template(parts: dict[str, Any], scale: float, turned: set[str]) -> dict[str, Any]:
-    """Template parameters with lengths times ``scale``, and directions of ``turned`` panels mirrored."""
+    """Template parameters with lengths times ``scale``, and directions of ``turned`` panels mirrored. Refuses
+    (``InputError``) parameters of another form."""
     parts = copy.deepcopy(parts)
+    try:
+        _change_template(parts, scale, turned)
+    except (AttributeError, IndexError, KeyError, TypeError) as error:
+        cure = "Compare with a template of Garment-Pattern-Generator, or leave the parameters out."
+        raise InputError(
+            "template parameters", expected="those of a template", got=f"{type(error).__name__}: {error}", cure=cure
+        ) from error
+    return parts
+
+
+def _change_template(parts: dict[str, Any], scale: float, turned: set[str]) -> None:
     for entry in [*parts.get("parameters", {}).values(), *parts.get("constraints", {}).values()]:
         if entry.get("type") == "additive_length":
             entry["value"] = entry["value"] * scale
@@ -267,7 +280,6 @@ def _template(parts: dict[str, Any], scale: float, turned: set[str]) -> dict[str
             for item in influence["edge_list"] if influence["panel"] in turned else []:
                 if isinstance(item, dict) and "along" in item:
                     item["along"] = [-item["along"][0], item["along"][1]]
-    return parts
 
 
 # --- writing ---------------------------------------------------------------------------------------------------------

@@ -276,6 +276,12 @@ def change(entry: dict, path: str, value) -> dict:
         ("properties.units_in_meter", True, "units_in_meter"),
         ("properties.units_in_meter", 1, "units_in_meter"),  # centimetres read as metres
         ("properties.curvature_coords", "polar", "curvature_coords"),
+        ("pattern.panels.front.edges.0.endpoints", [0, float("nan")], "endpoints"),
+        ("pattern.stitches", 3, "stitches: expected a list, got int"),
+        ("pattern.panel_order", "front", "panel_order: expected a list"),
+        ("properties.drape", [1], "drape: expected an object"),
+        ("parameters", [1], "template parameters"),
+        ("parameters", {"length": {"type": "additive_length", "influence": []}}, "template parameters"),
     ],
 )
 def test_what_is_no_pattern_is_refused_with_the_place(path, value, message):
