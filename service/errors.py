@@ -26,7 +26,7 @@ REASON_BYTES = 123  # what a WebSocket close frame can carry
 
 
 class Forbidden(InputError):
-    """A refusal of a request whose host or origin is not allowed."""
+    """A refusal of a request whose host or origin is not allowed, or that would change what another key owns."""
 
 
 class NotAcceptable(InputError):

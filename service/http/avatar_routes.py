@@ -26,7 +26,9 @@ from drape.files.formats import AVATAR_SUFFIXES
 from drape.garment.portrait import Sitter, portrait
 from drape.stages.scene import Scene
 from service.compute.avatar_facts import AvatarInfo, AvatarWears
-from service.errors import Full, TooSlow
+from service.compute.avatars import AvatarEntry
+from service.errors import Forbidden, Full, TooSlow
+from service.guard.access import Client
 from service.http import schemas
 from service.http.answers import BINARY, GLB, JSON, PNG, json_answer
 from service.http.garment_routes import LEAST, MOST, USUAL
@@ -37,7 +39,7 @@ from service.http.openapi import BYTES, KNOWN, body_schema, responses
 from service.http.problems import check_query
 from service.http.undressing import undressed_avatar
 from service.http.upload_routes import job_info
-from service.state import ClientHere, StateHere
+from service.state import ClientHere, State, StateHere
 
 router = APIRouter()
 PIECE_BYTES = 1 << 20
@@ -138,7 +140,7 @@ async def change_avatar(
     """Corrects which nodes are joints, and the kinds of parts. The service then makes the avatar anew from its file.
     The answer is a job: ask for its state until it has ended.
     """
-    entry = await state.avatar(avatar_id, client)
+    entry = await _own(avatar_id, client, state)
     change = validate_document(AvatarChange, read_document(await json_text(request)))
     if not await asyncio.to_thread(entry.source.is_file):
         raise NotFound("avatar", expected="one whose file is stored", got="none", cure="Upload the character again.")
@@ -156,8 +158,18 @@ async def change_avatar(
 @router.delete("/avatars/{avatar_id}", status_code=204, responses=responses(NotFound))
 async def delete_avatar(avatar_id: str, state: StateHere, client: ClientHere) -> None:
     """Removes an avatar and its files from the service. Open streams of it go on."""
-    entry = await state.avatar(avatar_id, client)
+    entry = await _own(avatar_id, client, state)
     await asyncio.shield(asyncio.to_thread(state.runtime.avatars.remove, entry))
+
+
+async def _own(avatar_id: str, client: Client, state: State) -> AvatarEntry:
+    """Returns the entry of the avatar. Refuses (``NotFound``) an unknown one, and (``Forbidden``) one that was uploaded
+    without a key, where there are keys now: all may use it."""
+    entry = await state.avatar(avatar_id, client)
+    if entry.owner != client.name:
+        cure = "Only the key that uploaded an avatar may change it."
+        raise Forbidden("avatar", expected="one of your own", got="one of no key", cure=cure)
+    return entry
 
 
 @router.get("/avatars/{avatar_id}/mesh", response_model=schemas.MeshDocument, responses=responses(NotFound))

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import httpx
@@ -21,6 +22,7 @@ from websockets.typing import Subprotocol
 from clients import cli
 from clients.client import AsyncDrapeClient, DrapeClient
 from clients.stream import DrapeStream
+from drape.avatar.wearer import save_wearer
 from drape.body.model import BodyModel
 from drape.errors import DrapeError, InputError
 from drape.garment.cache import save_garment
@@ -32,6 +34,7 @@ from service.guard.key_file import key_digest, load_keys
 from service.guard.tickets import LIFE_S, Tickets
 from service.settings import Settings, check_exposed
 from tests.architecture.repository import ROOT
+from tests.fixtures.characters import bare_wearer
 from tests.fixtures.garments import tube_garment
 from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.serving import files_in, serve, served
@@ -198,7 +201,7 @@ def test_a_garment_is_private_until_published(url: str, guarded: Settings):
         httpx.delete(address, headers=bearer("lab")),
         httpx.patch(address, json={"name": "x"}, headers=bearer("lab")),
     ):
-        assert call.status_code == 403 and "somebody else" in call.json()["detail"]
+        assert call.status_code == 403 and "one of another key" in call.json()["detail"]
     (about,) = guarded.garments_dir.glob("of-shop/*.about.json")
     assert json.loads(about.read_text()) == {"title": "Mantel", "published": True}
     httpx.patch(address, json={"published": False}, headers=bearer("shop"))
@@ -209,6 +212,24 @@ def test_a_garment_is_private_until_published(url: str, guarded: Settings):
 def test_shipped_garments_stay(url: str):
     response = httpx.delete(url + "/garments/tube", headers=bearer("shop"))
     assert response.status_code == 403 and "a shipped one" in response.json()["detail"]
+
+
+def test_what_was_uploaded_without_a_key_stays(
+    make_settings: Callable[..., Settings], guarded: Settings, body: BodyModel, tmp_path: Path
+):
+    """All keys may use what was there before there were keys, and none may change it."""
+    settings = make_settings(keys_file=guarded.keys_file)
+    save_garment(tube_garment(body, name="veil"), settings.garments_dir)
+    app = create_app(settings)
+    source = tmp_path / "old.glb"
+    source.write_bytes(b"")
+    with serve(app, settings) as url:
+        app.state.drape.runtime.avatars.add(save_wearer(replace(bare_wearer(), name="old"), tmp_path), source, None)
+        for path in ("/garments/veil", "/avatars/old"):
+            assert httpx.get(url + path, headers=bearer("shop")).status_code == 200
+            for change in (httpx.delete, httpx.patch):
+                refused = change(url + path, headers=bearer("shop"))
+                assert refused.status_code == 403 and "one of your own" in refused.json()["detail"]
 
 
 def test_a_deleted_garment_is_gone_from_service_disk_and_streams(
