@@ -112,7 +112,10 @@ def compiler() -> list[str]:
 
 def host() -> str:
     """Returns this machine's system as ``TARGETS`` names it, such as "linux-x86_64". One that no library is made for
-    gets a name that ``TARGETS`` lacks."""
+    gets a name that ``TARGETS`` lacks. Ends the program with a sentence on Linux with another C library than glibc."""
+    if platform.system() == "Linux" and platform.libc_ver()[0] != "glibc":
+        cure = "use a system with it, as Debian or Ubuntu and their images"
+        raise SystemExit(f"engine: expected Linux with glibc 2.17 or later, got another C library (musl?); {cure}")
     system = {"Darwin": "macos"}.get(platform.system(), platform.system().lower())
     machine = {"AMD64": "x86_64"}.get(platform.machine(), platform.machine())
     return f"{system}-{machine}"
@@ -174,9 +177,6 @@ def build_here(*, tests: bool = False, sanitize: bool = False) -> None:
     ``tests``: also the library that only tests load. ``sanitize``: as for ``build``. Ends the program with a sentence
     where the processor or the C library is too old.
     """
-    if platform.system() == "Linux" and platform.libc_ver()[0] != "glibc":
-        cure = "use a system with it, as Debian or Ubuntu and their images"
-        raise SystemExit(f"engine: expected Linux with glibc 2.17 or later, got another C library (musl?); {cure}")
     LIBRARIES.mkdir(parents=True, exist_ok=True)
     level = ctypes.CDLL(str(build_probe(host(), LIBRARIES))).drape_processor() % 16
     if "x86_64" in host() and level < 2:

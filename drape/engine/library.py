@@ -60,8 +60,8 @@ def load(*, tests: bool = False, folder: Path = LIBRARIES) -> ctypes.CDLL:
     """Returns the opened library in ``folder`` for this processor, or with ``tests`` the one that also has what only
     tests call: kernels in float64, parts of kernels.
 
-    Refuses (``ArtifactError``) what ``library_name`` does, a missing file, and one that was made from other sources
-    than the Python beside it.
+    Refuses (``ArtifactError``) what ``library_name`` does, a missing file, and one whose records are laid out otherwise
+    than those of ``records.py``. Other changes of its sources are not noticed here.
     """
     name = library_name(processor_level(folder)[0], os.environ.get("DRAPE_ISA") or None)
     path = folder / f"{name}{'-tests' if tests else ''}{SUFFIX}"

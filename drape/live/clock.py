@@ -1,7 +1,8 @@
 """The clock of cloth that moves: a frame, the memory of it, and whether the next frame follows it.
 
 Folds and swing keep a memory each. Both are forgotten at a cut: after a pause, when the clock goes back, and when the
-network moves a vertex farther than any motion does.
+network moves a vertex farther than any motion does. ``leads_to`` decides it for folds; swing decides in the engine
+(``source/swing.hpp``), where two frames of one time are a cut too.
 """
 
 from __future__ import annotations

@@ -59,8 +59,9 @@ def test_each_wheel_is_tried_on_its_system_by_every_python_that_it_is_for():
     assert minors == list(range(minors[0], minors[-1] + 1))
 
 
-def test_another_c_library_is_refused(monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("begin", [build.build_here, build.host], ids=["clone", "sdist"])
+def test_another_c_library_is_refused(monkeypatch: pytest.MonkeyPatch, begin: Callable[[], object]):
     monkeypatch.setattr(build.platform, "system", lambda: "Linux")
     monkeypatch.setattr(build.platform, "libc_ver", lambda: ("", ""))
     with pytest.raises(SystemExit, match=r"expected Linux with glibc 2\.17 or later, got another C library"):
-        build.build_here()
+        begin()

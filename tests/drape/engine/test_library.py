@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,9 +13,19 @@ import pytest
 from drape.engine import build, library, records
 from drape.engine.build import TARGETS, is_made_from, sources_hash
 from drape.engine.calls import call
-from drape.engine.library import has_tiles, library_name, load, processor_level
+from drape.engine.library import LIBRARIES, has_tiles, library_name, load, processor_level
 from drape.engine.packer import Record
 from drape.errors import ArtifactError
+
+
+@pytest.mark.parametrize("tests", [False, True])
+def test_the_libraries_are_compiled_of_these_sources(tests: bool):
+    """Else a header that was changed would be tested as it was before."""
+    name = library_name(processor_level()[0], os.environ.get("DRAPE_ISA") or None)
+    target = next(target for target in TARGETS[build.host()] if target.name == name)
+    path = LIBRARIES / f"{name}{'-tests' if tests else ''}{target.suffix}"
+    made_from = [sources_hash(target, tests, sanitize) for sanitize in (False, True)]
+    assert any(is_made_from(path, sources) for sources in made_from), "run drape/engine/build.py --tests"
 
 
 def test_the_build_writes_the_header_of_the_table_and_leaves_one_that_is(monkeypatch, tmp_path: Path):
