@@ -166,5 +166,5 @@ def _unreadable(got: str) -> ArtifactError:
         expected=f"{', '.join(NAMES)}, each with passes, folds (0 in the first, then 1 at least), alone and "
         "coarse (true in the first), none less than the one before",
         got=got,
-        cure="Run benchmarks.tradeoff --write, or leave them out.",
+        cure="Empty its list of tiers; benchmarks.tradeoff --save --write then measures new ones.",
     )
