@@ -137,15 +137,15 @@ def _through_walls(
 def _on_opposite(points: np.ndarray, face: np.ndarray, cloth: GarmentMesh, facing: np.ndarray) -> np.ndarray:
     """The place (D, 3) nearest to each of ``points`` [m] (D, 3) on the faces of ``cloth``, with the normals ``facing``
     (F, 3), that look the other way than its ``face`` (D,); the point itself, where none is within ``ALIKE_M``."""
-    found, way = points.copy(), facing[face]
+    nearest, way = points.copy(), facing[face]
     for axis, sign in product(range(3), (-1.0, 1.0)):
         own = np.flatnonzero((np.abs(way).argmax(axis=1) == axis) & (sign * way[:, axis] > 0.0))
         faces = cloth.faces[sign * facing[:, axis] < 0.0]
         if len(own) and len(faces):
             near = closest_point(points[own], cloth.vertices, faces)
             close = near.distance < ALIKE_M
-            found[own[close]] = near.point[close]
-    return found
+            nearest[own[close]] = near.point[close]
+    return nearest
 
 
 def _loops_of_trunk(
