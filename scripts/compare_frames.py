@@ -122,8 +122,8 @@ async def stream_frames(url: str, opening: dict[str, Any], poses: np.ndarray, tr
     """Returns the blanked message (N,) uint8 of each frame of a stream that sends ``poses`` [rad] (F, 24, 3) and
     ``trans`` [m] (F, 3) one after the other.
 
-    ``url`` is the service's address, ``opening`` the stream's first message. Half-way the stream is opened again with
-    half the motion.
+    ``url`` is the service's address, ``opening`` the stream's first message. Half-way the stream is opened again with a
+    motion knob of 0.5 and the push-out.
     """
     frames = []
     address = url.replace("http", "ws", 1) + "/stream"

@@ -28,8 +28,8 @@ PAGES = ROOT / "service" / "pages"
 
 
 def build_member(folder: str, *arguments: str, system: str = "") -> None:
-    """Writes the sdist and the wheel of the member in ``folder`` to dist/, or what ``arguments`` of ``python -m build``
-    say. The engine in the core's wheel is that for ``system``."""
+    """Writes the sdist and the wheel of the package in ``folder`` to dist/. ``arguments``, such as ``--wheel`` for
+    the wheel alone, go to ``python -m build``. The engine in the core's wheel is that for ``system``."""
     command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(DIST), *arguments, folder]
     subprocess.run(command, cwd=ROOT, env=os.environ | {"DRAPE_SYSTEM": system}, check=True, stdout=subprocess.DEVNULL)
 

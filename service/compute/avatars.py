@@ -40,8 +40,9 @@ MOST_WORN = 4
 
 
 class OwnFiles(NamedTuple):
-    """The own clothes of a character: the ``caches`` of the garments made from them, the innermost first, and
-    ``stiff``, which says by the names of parts why others did not become garments."""
+    """The own clothes of a character. ``caches`` are the paths of the files of the garments made from them, the
+    innermost first. ``stiff`` has the clothes that did not become garments: the names of their parts as keys, the
+    reasons as values."""
 
     caches: Sequence[Path]
     stiff: dict[str, str]
@@ -87,9 +88,11 @@ class AvatarEntry:
 
 
 class Avatars:
-    """The avatars in service by their ids. The stages of one are made when it first wears a garment.
+    """The avatars in service by their ids. Each has a body of its own. The stages that drape on that body are made when
+    the avatar first wears a garment.
 
-    ``body`` is the standard body, ``stages_on`` makes the stages of another, ``make`` calls a function that takes long.
+    ``body`` is the standard body. ``stages_on(body)`` makes the stages for another body. ``make(function, *arguments)``
+    calls a function that takes long.
     """
 
     def __init__(
@@ -105,8 +108,8 @@ class Avatars:
         self.follow()
 
     def follow(self) -> None:
-        """Puts avatars in service that are new or changed in the folder, and takes those out of service whose files are
-        gone. Other services may share the folder."""
+        """Puts avatars in service that are new or changed in the folder of avatars, and takes those out of service
+        whose files are gone. Other services may share the folder."""
         present = garment_files.list_avatar_facts(self._root)
         for about, written_ns in present.items():
             if self._seen.get(about) != written_ns:

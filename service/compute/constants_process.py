@@ -24,9 +24,9 @@ log = logging.getLogger("drape.service")
 class ConstantsProcess:
     """Calls functions of modules in another process while ``wanted()`` is true, and otherwise in this process.
 
-    If the other process runs already, only one call at a time is made in this one, and calls beside it in the other: so
-    two processors work. The other process is started by ``begin``, or when it is first wanted. It makes one call at a
-    time. Any thread may call.
+    The other process is started by ``begin``, or when it is first wanted. It makes one call at a time. Once it runs,
+    this process makes one call at a time too. A second call that comes meanwhile goes to the other process, so that two
+    processors work. Any thread may call.
     """
 
     def __init__(self, wanted: Callable[[], bool]) -> None:

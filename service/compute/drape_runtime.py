@@ -52,8 +52,8 @@ log = logging.getLogger("drape.service")
 
 
 def open_lane(driver: str = DRIVER) -> Lanes | None:
-    """Returns the lanes of this machine's graphics cards, opened by the library ``driver``; None without the extra
-    ``cuda``. Logs each card, or why it cannot be used."""
+    """Returns the threads (``Lane``) that draw frames on this machine's graphics cards. ``driver`` is the library that
+    opens the cards. None without the extra ``cuda``. Logs each card, or why it cannot be used."""
     lanes = open_lanes(driver)
     for lane in () if lanes is None else lanes.lanes:
         if lane.works:
@@ -126,7 +126,7 @@ class DrapeRuntime(Runtime):
 
     @property
     def memory_classes(self) -> tuple[type, ...]:
-        """The classes of the values in a stream's memories."""
+        """The classes of the values of ``Memories``, which a stream takes to another process."""
         return (Idle, *(kind for stage in self.stages for kind in stage.kept))
 
     def check_body_id(self, name: str) -> None:

@@ -34,8 +34,9 @@ def owner_of(path: Path | None) -> str | None:
 
 
 def list_caches(root: Path) -> dict[Path, tuple[int, int]]:
-    """Returns every cache under ``root`` with the times [ns since 1970] at which it and its ``About`` were written (0:
-    it has none), the oldest cache first. The order keeps ids of equal names the same at every start."""
+    """Returns for every cache under ``root``, by its path, two times [ns since 1970]: when it was written, and when its
+    ``About`` was, 0 where it has none. The oldest cache comes first, which keeps ids of equal names the same at every
+    start."""
     rows: list[tuple[int, str, Path, int]] = []
     for path in (*root.glob("*.npz"), *root.glob(f"{OWNED}*/*.npz")):
         written_ns = _written_ns(path)

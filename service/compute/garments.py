@@ -36,9 +36,10 @@ log = logging.getLogger("drape.service")
 class Registry:
     """The garments in service by their ids, shipped and uploaded ones, as ``Entry``.
 
-    ``read`` returns the garment of a cache file. With it the stages of the standard body, ``worn``, get a garment's
-    constants when it is first asked for; without it the start makes them. ``make`` calls a function that takes long.
-    A shipped cache that cannot be read stops the start; an uploaded one is left out and named in ``refused``.
+    ``worn`` has the stages that drape on the standard body. ``read(path)`` returns the garment of a cache; a garment's
+    constants are then made when a request first needs them. Where ``read`` is None, each cache is read by ``prepare``
+    and its constants are made at once. ``make(function, *arguments)`` calls a function that takes long. A shipped cache
+    that cannot be read stops the start; an uploaded one is left out, and ``refused`` has a line on it.
     """
 
     def __init__(
@@ -104,8 +105,8 @@ class Registry:
         return Outfit(entries)
 
     def prepare(self, path: Path) -> Garment:
-        """Returns the garment of the cache ``path``, read beside frames that are computed. Refuses as
-        ``check_garment`` does."""
+        """Returns the garment of the cache ``path``, read by a call of ``make``. Where the registry was made without
+        ``read``, the garment's constants are made too. Refuses as ``check_garment`` does."""
         garment = self._make(_read, path, self._worn.body, self._settings.max_vertices)
         if self._at_once:
             self._worn.add(garment, self._worn.feed(garment))

@@ -71,12 +71,13 @@ async def run_process(
     quiet: bool = False,
     waiting: Process | None = None,
 ) -> AsyncIterator[tuple[Process, asyncio.StreamReader]]:
-    """Runs ``python -m module`` as a job of ``lane``, which the watchdog looks at, while the block runs. Yields the
-    process and its standard output; the process is killed when the block ends.
+    """Runs ``python -m module`` with ``arguments`` while the block runs. Yields the process and its standard output.
+    The process is a job of ``lane``, which the watchdog looks at, and is killed when the block ends.
 
-    ``write`` writes the standard input to a file without a name in ``folder``, so that it need not wait until the
-    process reads. ``waiting`` is a process that was started earlier and takes its place: its standard input is a pipe,
-    with the arguments as a line of JSON first.
+    ``write(file)`` writes what the process reads as standard input. The file lies in ``folder`` without a name, so that
+    ``write`` need not wait until the process reads. ``waiting`` is a process that was started earlier; it is used in
+    place of a new one. Its standard input is a pipe, which gets ``arguments`` as a line of JSON first. If it has ended,
+    a new process is started.
     """
     if waiting is not None and await _hand_over(waiting, arguments, write):
         process = waiting

@@ -90,11 +90,12 @@ class ComputeThreads:
         return await asyncio.get_running_loop().run_in_executor(self._apart, _here(function, *arguments))
 
     async def in_chunks(self, frames: int, compute: Callable[[slice], Iterator[Result]]) -> AsyncIterator[Result]:
-        """Yields for each chunk of a clip of ``frames`` frames the last result of ``compute(rows)``, whose steps each
-        run ``aside``; ``rows`` are the frames of the chunk.
+        """Yields one result for each chunk of a clip of ``frames`` frames: the last item of ``compute(rows)``, where
+        ``rows`` are the frames of the chunk. Items are computed by calls of ``aside``.
 
-        Refuses (``Busy``) a clip that has waited for streams and other clips longer than ``clip_wait_s`` and a second
-        for every ``CLIP_FPS`` frames that are computed, and (``Draining``) any once the service ends.
+        Refuses (``Busy``) a clip that has waited too long for streams and other clips: ``clip_wait_s``, and a second
+        more for every ``CLIP_FPS`` of its frames that are computed. Refuses (``Draining``) any clip once the service
+        ends.
         """
         frame_s, start = math.inf, 0  # how long a frame takes is known after the first chunk
         waited_s = 0.0  # without the time in which the caller does not ask for a chunk

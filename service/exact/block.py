@@ -51,7 +51,7 @@ class FrameBlock:
 
 def run_block(block: FrameBlock, print_line: Callable[[str], Any] = print) -> None:
     """Computes the frames of ``block`` that are not on disk, one after the other, and writes each to the folder. Calls
-    ``print_line`` with the number and the figures of each, as a line of JSON."""
+    ``print_line`` after each with the text of a JSON object: its number as ``frame``, and its ``FIGURES``."""
     sheet, before = None, None
     for number, (pose, start) in enumerate(zip(block.poses, block.starts, strict=True)):
         stored = read_frame(block.folder, number)

@@ -57,8 +57,8 @@ class AcceptedClip:
 
 
 def read_accepted(folder: Path) -> AcceptedClip | None:
-    """Returns the record in ``folder``. None if there is none or it does not fit the folder, or if neither the request
-    nor a problem that ended it is there."""
+    """Returns the record in ``folder``. None if there is none, if the folder is not named by its id, or if the request
+    is missing though no problem has ended the clip."""
     accepted = read_record(AcceptedClip, folder / ABOUT)
     if accepted is None:
         return None
@@ -73,7 +73,7 @@ def frame_path(folder: Path, number: int) -> Path:
 
 def write_frame(folder: Path, number: int, x: np.ndarray, figures: dict[str, Any]) -> None:
     """Writes the frame ``number`` to its file: vertices ``x`` [m] (V, 3) float32, relative to the root joint in the
-    world's axes, and the ``FIGURES`` by name."""
+    world's axes, and ``figures``, whose keys are ``FIGURES`` (each explained by ``FrameTold``)."""
     with whole_file(frame_path(folder, number)) as stream:
         np.savez(stream, x=x, told=np.array([figures[name] for name in FIGURES], np.float64))
 

@@ -43,8 +43,8 @@ log = logging.getLogger("drape.service")
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """A ``clip`` to compute, and the ``plan`` of the drapes of tier accurate, on the fine mesh, that its frames start
-    from."""
+    """A ``clip`` to compute, and a ``plan``. Each frame starts from its drape by that plan: in tier accurate, on the
+    fine mesh."""
 
     plan: Plan
     clip: PoseInput
@@ -52,8 +52,9 @@ class Work:
 
 @dataclass(eq=False)
 class ClipJob:
-    """A clip of tier exact in this service. ``figures`` are those of each finished frame by its number, ``problem`` is
-    the problem document of a failed one, ``stage`` says what a running one does. ``lock`` is that of ``folder``."""
+    """A clip of tier exact in this service. ``figures`` has for each finished frame, by its number, its ``FIGURES`` by
+    name. ``problem`` is the problem document of a failed clip. ``stage`` is "start" while the drapes are
+    computed that frames start from, and then "frames". ``lock`` is that of ``folder``."""
 
     accepted: AcceptedClip
     folder: Path
@@ -207,8 +208,8 @@ class ExactClips:
 
     def vertices(self, job: ClipJob, plan: Plan) -> np.ndarray:
         """Returns the vertices [m] (F, V, 3) float32 of the frames of ``job``, relative to each frame's root joint in
-        the world's axes, on the mesh that is drawn of the garment of ``plan``. Refuses (``NotFound``) a clip without
-        all of its frames."""
+        the world's axes. They are those of the mesh that is drawn of the garment of ``plan``. Refuses (``NotFound``) a
+        clip without all of its frames."""
         frames = [on_disk.read_frame(job.folder, number) for number in range(job.accepted.frames)]
         cloth = [frame[0] for frame in frames if frame is not None]
         if len(cloth) < len(frames):

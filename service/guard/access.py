@@ -43,9 +43,10 @@ class Access:
         return ANYONE if name is None else self._names.get(name, Client(name))
 
     def admit(self, headers: Headers, offered: Sequence[str] = (), *, stream: bool = False) -> Client:
-        """Returns the client that sent ``headers``, and ``offered`` sub-protocols where it opens a ``stream``, and
-        counts one request. Refuses (``Unauthorized``) one without a valid key or ticket, and (``Busy``) one that asks
-        too often. A stream spends its ticket."""
+        """Returns the client that sent a request, and counts the request. Its key or ticket is in ``headers``, or among
+        ``offered``, the sub-protocols that a WebSocket offers. ``stream`` says whether it opens a stream, which uses a
+        ticket up. Refuses (``Unauthorized``) a client without a valid key or ticket, and (``Busy``) one that asks too
+        often."""
         if not self._clients:
             return ANYONE
         scheme, _, credential = headers.get("authorization", "").partition(" ")

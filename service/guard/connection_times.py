@@ -181,7 +181,7 @@ def http_protocol(settings: Settings) -> type[LimitedHttp]:
 
 class EndsWithClient:
     """A middleware that cancels a request whose connection is lost, since nobody can read its answer. Requests that
-    change something go on: uploads, PATCH and DELETE. So does what other requests shield from cancellation."""
+    change something go on: uploads, PATCH and DELETE. So do calls inside ``asyncio.shield``."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app

@@ -34,8 +34,9 @@ class Tickets:
         return f"{body}.{self._signature(body)}"
 
     def name(self, ticket: str, *, spend: bool = False, now_s: float | None = None) -> str:
-        """Returns the name of the key that ``ticket`` was made for. ``spend``: it opens a stream, and none after.
-        Refuses (``Unauthorized``) a forged or expired ticket, and to ``spend`` one twice."""
+        """Returns the name of the key that ``ticket`` was made for. With ``spend`` the ticket is used up, as it opens
+        one stream only. Refuses (``Unauthorized``) a forged or expired ticket, and with ``spend`` one that is used
+        up."""
         now = time.time() if now_s is None else now_s
         body, _, signature = ticket.partition(".")
         if not hmac.compare_digest(signature.encode(), self._signature(body).encode()):

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 
 def rest_file(garment: Garment) -> tuple[GlbFile, bytes]:
-    """Returns a GLB of what is drawn of ``garment``, at rest, and its head."""
+    """Returns a GLB of what is drawn of ``garment``, at rest, and the bytes of its head (``GlbFile.head``)."""
     file = GlbFile()
     glb.add_garment(file, garment.surface, garment.drawn_at_rest()[None], fps=1.0)
     return file, file.head()
@@ -52,8 +52,9 @@ def rest_file(garment: Garment) -> tuple[GlbFile, bytes]:
 def garment_file(
     scene: Scene, placed: Placed, request: ClipOptions, clip: PoseInput, model: BodyModel
 ) -> tuple[GlbFile, bytes]:
-    """Returns a GLB of the garments of ``scene`` with ``placed``, their vertices in the frames of ``clip``, and its
-    head. ``request`` says whether the body ``model`` is in it too, and whether positions are quantised."""
+    """Returns a GLB of the garments of ``scene`` in the frames of ``clip``, and the bytes of its head
+    (``GlbFile.head``). ``placed`` has the garments' vertices, one garment after the other. ``request`` says whether the
+    body ``model`` is in the file too, and whether positions are quantised."""
     file, start = GlbFile(), 0
     vertices, point = placed.from_first()
     root_motion = None
@@ -91,8 +92,8 @@ def on_rig_file(
     quantised: bool,
     joints: int | None,
 ) -> tuple[GlbFile, bytes]:
-    """Returns a GLB of the garments ``layers`` on the rig of ``wearer``, whose file is ``stored``, in the frames of
-    ``clip``, and its head.
+    """Returns a GLB of the garments ``layers`` on the rig of ``wearer`` in the frames of ``clip``, and the bytes of its
+    head (``GlbFile.head``). ``stored`` is the wearer's file.
 
     ``turns`` (F, N, 4) are the rig's own quaternions (xyzw) of its N nodes, None unless the client sent these. Each
     garment has ``joints`` joints of its own, or morph targets if that is None. Skin that ``left`` adds, where clothes
@@ -120,7 +121,8 @@ def on_rig_file(
 
 
 def body_file(body: BodyModel, clip: PoseInput, request: PosedOptions) -> tuple[GlbFile, bytes]:
-    """Returns a GLB of ``body`` as a skinned mesh in the frames of ``clip``, and its head."""
+    """Returns a GLB of ``body`` as a skinned mesh in the frames of ``clip``, and the bytes of its head
+    (``GlbFile.head``)."""
     file = GlbFile()
     point = clip.trans[0] + body.rest_joints(clip.betas)[0] if request.origin == "root" else np.zeros(3)
     add_body(file, body, clip.betas, clip.poses, clip.trans - point, request.fps)

@@ -57,8 +57,9 @@ class RequestedClip:
 
 
 def plan_headers(plan: Plan, runtime: DrapeRuntime) -> dict[str, str]:
-    """Returns the headers that are known before a frame is computed: model, push-out, tier, passes, steps of folds,
-    motion knob, and the garments of an outfit."""
+    """Returns the headers that are known before a frame is computed: X-Drape-Model (16 digits of its digest),
+    X-Drape-Push-Out (0 or 1), X-Drape-Tier, X-Drape-Passes, X-Drape-Folds and X-Drape-Safe-Folds (numbers of steps),
+    X-Drape-Motion (the knob); of an outfit also X-Drape-Garments (ID:VERTICES of each, with commas between)."""
     options, numbers, scene = plan.options, plan.options.advanced, plan.shown
     headers = {
         "X-Drape-Model": runtime.engine.manifest.digest[:16],
@@ -75,7 +76,10 @@ def plan_headers(plan: Plan, runtime: DrapeRuntime) -> dict[str, str]:
 
 
 def quality_headers(draped: Batch) -> dict[str, str]:
-    """Returns the headers with figures of all frames of ``draped``: push-out, novelty, and folds begun anew."""
+    """Returns the headers with what was measured over all frames of ``draped``: X-Drape-Pushed-Share (the mean share
+    of vertices that the push-out moved), X-Drape-Push-Max-M (the farthest that it moved one [m]), X-Drape-Novelty (the
+    largest), X-Drape-Unlike (the number of frames with a novelty above 1), X-Drape-Folds-Resets (how often the folds of
+    a layer began anew)."""
     return {
         "X-Drape-Pushed-Share": f"{draped.quality.pushed_share.mean():.6f}",
         "X-Drape-Push-Max-M": f"{draped.quality.push_max_m.max():.6f}",
@@ -93,8 +97,9 @@ def floor_headers(clip: PoseInput, body: BodyModel) -> dict[str, str]:
 
 
 def jets_headers(frames: int, scene: Scene) -> dict[str, str]:
-    """Returns the headers of an answer with ``frames`` JETS messages: numbers of frames and patches, origin, and the
-    garments of an outfit."""
+    """Returns the headers of an answer with ``frames`` JETS messages: X-Drape-Frames, X-Drape-Patches (the number of
+    patches), X-Drape-Origin ("root"); of an outfit also X-Drape-Garments (ID:PATCHES of each, with commas
+    between)."""
     headers = {"X-Drape-Frames": str(frames), "X-Drape-Patches": str(scene.patch_count), "X-Drape-Origin": "root"}
     if isinstance(scene, Outfit):
         worn = layer_list(scene, patches=True)

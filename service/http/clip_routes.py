@@ -281,8 +281,8 @@ async def _clip(
 
 
 def check_rig_frames(rig_poses: Sized, trans: Sized | None, most: int) -> None:
-    """Refuses (``TooLarge``) more than ``most`` frames of ``rig_poses``, and (``MotionError``) another number of places
-    ``trans`` than of frames."""
+    """Refuses (``TooLarge``) more than ``most`` frames of ``rig_poses``, and (``MotionError``) a ``trans`` with another
+    number of frames; None passes."""
     frames = len(rig_poses)
     if frames > most:
         cure = "Send the clip in pieces."
@@ -293,8 +293,8 @@ def check_rig_frames(rig_poses: Sized, trans: Sized | None, most: int) -> None:
 
 
 def check_rig(asked: schemas.ClipOptions, kind: str) -> None:
-    """Refuses (``InputError``) ``rig`` without an avatar or with options that such a file cannot have, in another media
-    type ``kind`` than GLB, and ``joints`` without ``rig``."""
+    """Refuses (``InputError``) the option ``rig`` in four cases: the media type ``kind`` is not GLB, no avatar is
+    named, ``body`` is asked for too, or ``origin`` is root. Refuses ``joints`` without ``rig`` too."""
     if not asked.rig:
         if asked.joints is not None:
             raise InputError(

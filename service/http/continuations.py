@@ -50,9 +50,11 @@ class _Entry:
 
 
 class Continuations:
-    """The latest ``MOST`` continuations of all clients together, by their tokens, each kept for ``LIFE_S``.
+    """The ends of clips (``Continuation``) that other requests may continue, by their tokens: the latest ``MOST`` of
+    all clients together, each kept for ``LIFE_S``.
 
-    One may be used more than once, so that a request whose answer was lost can be sent again.
+    A client sends a long clip in pieces. The answer to one piece names a token (X-Drape-Past), and the request with the
+    next piece sends it (``past``). It may do so more than once, in case an answer was lost.
     """
 
     def __init__(self) -> None:
@@ -67,8 +69,8 @@ class Continuations:
         return secrets.token_urlsafe(18)
 
     def put(self, token: str, past: Continuation, owner: str | None) -> None:
-        """Keeps ``past`` under ``token`` for the key ``owner``. Where there are more than ``MOST``, the oldest of the
-        key with the most is dropped."""
+        """Keeps ``past`` under ``token`` for the key ``owner``. Where more than ``MOST`` are kept, the key that has the
+        most of them loses its oldest."""
         self._drop_old()
         self._entries[token] = _Entry(past, owner, time.monotonic() + LIFE_S)
         while len(self._entries) > MOST:

@@ -93,8 +93,9 @@ def work_reader(state: State) -> Callable[[bytes, str | None], Awaitable[Work]]:
 
 
 async def finished_clip(job: ExactJob, state: State, client: Client) -> tuple[RequestedClip, Batch, dict[str, str]]:
-    """Returns the request of ``job``, a batch with its finished frames, and the headers of the answer. Refuses
-    (``Unavailable``) a clip that is not done."""
+    """Returns the request of ``job``, a batch with its finished frames, and headers of the answer: X-Drape-Model,
+    X-Drape-Tier, and the largest force left and number of crossings of any frame (X-Drape-Force-Left,
+    X-Drape-Crossings). Refuses (``Unavailable``) a clip that is not done."""
     if job.state != "done":
         cure = f"Ask GET /jobs/{job.accepted.id} until it is done."
         raise Unavailable("clip", expected="one that is done", got=job.state, cure=cure)

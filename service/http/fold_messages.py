@@ -48,8 +48,8 @@ def pack_message(
 def message_key(
     worn: Garment, body: BodyModel, fabric: Fabric | None, shape: np.ndarray, coarse: bool, hung: Drawer | None
 ) -> bytes:
-    """Returns bytes that are equal for two calls of ``pack_message`` with these arguments only if their messages
-    are."""
+    """Returns a key for the message that ``pack_message`` makes of the same arguments: different messages have
+    different keys."""
     cloth = "" if fabric is None else fabric.digest
     names = (str(WIRE_VERSION), f"{HASH:x}", worn.digest, body.digest, cloth, str(coarse), "hung" * (hung is not None))
     return "|".join(names).encode() + shape.tobytes()

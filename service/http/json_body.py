@@ -31,14 +31,15 @@ Asked = TypeVar("Asked", bound=BaseModel)
 
 
 def clip_marks(max_frames: int) -> int:
-    """Returns the most marks that a request with a clip of ``max_frames`` frames may have. It is a quarter more than
-    needed, so that a clip that is a little too long is refused by its number of frames."""
+    """Returns the most marks (commas, colons, opening brackets) that a request with a clip of ``max_frames`` frames may
+    have. It is a quarter more than needed, so that a clip that is a little too long is refused by its number of
+    frames."""
     return 5 * max_frames * FRAME_MARKS // 4 + SMALL_MARKS
 
 
 def read_document(text: bytes, *, source: JsonSource = BODY) -> Any:
-    """Returns the value of the JSON ``text`` of ``source``. Refuses (``TooLarge``) more than ``SMALL_MARKS`` marks, and
-    (``InputError``) text that is not JSON."""
+    """Returns the value of the JSON ``text`` of ``source``. Refuses (``TooLarge``) text with more than ``SMALL_MARKS``
+    of the characters ``MARKS``, and (``InputError``) text that is not JSON."""
     marks = 0
     for more in _marks(text):
         marks = _check_count(marks + more, SMALL_MARKS, source)
@@ -46,8 +47,8 @@ def read_document(text: bytes, *, source: JsonSource = BODY) -> Any:
 
 
 async def check_marks(text: bytes, sliced_thread: SlicedThread, *, most_marks: int) -> None:
-    """Refuses (``TooLarge``) a ``text`` of more than ``most_marks`` marks. A long one is counted in pieces on
-    ``sliced_thread``."""
+    """Refuses (``TooLarge``) a JSON ``text`` with more than ``most_marks`` of the characters ``MARKS``. Those of a long
+    text are counted in pieces on ``sliced_thread``."""
     if len(text) <= BRIEF_TEXT:
         _check_count(sum(_marks(text)), most_marks)
         return
@@ -74,7 +75,7 @@ def _check_count(marks: int, most_marks: int, source: JsonSource = BODY) -> int:
 
 
 def parse_text(text: bytes, *, source: JsonSource = BODY) -> Any:
-    """Returns the value of the JSON ``text`` of ``source``, whose marks the caller has checked. Refuses
+    """Returns the value of the JSON ``text`` of ``source``, whose ``MARKS`` the caller has counted. Refuses
     (``InputError``) text that is not JSON."""
     try:
         return from_json(text, cache_strings="none")

@@ -18,7 +18,7 @@ LEVEL = 6  # of gzip
 
 
 class Kept:
-    """The ``most`` contents of answers that were used last, by their ETags."""
+    """The bodies of the ``most`` answers that were used last, by their ETags."""
 
     def __init__(self, most: int) -> None:
         self.most = most

@@ -70,7 +70,8 @@ BODY = JsonSource("request body", "Send JSON with Content-Type: application/json
 
 def validation_refusal(errors: Sequence[Any], known: Iterable[str] = (), source: JsonSource = BODY) -> InputError:
     """Returns the refusal for the first of pydantic's ``errors`` in ``source``: a ``MotionError`` for poses,
-    translations and shapes, else an ``InputError``. ``known`` are the names of its fields, for a misspelt one.
+    translations and shapes, else an ``InputError``. ``known`` are the allowed field names, of which a misspelt field's
+    cure names the nearest.
 
     A field that may have several types has an error for each. The one for the deepest part of the field is used.
     """

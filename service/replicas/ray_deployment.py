@@ -114,8 +114,8 @@ class Replica:
 
 
 def surplus(streams: int, before: frozenset[str], now: frozenset[str]) -> int:
-    """Returns how many of a replica's ``streams`` should move to new replicas: as large a share of them as new ones, in
-    ``now`` but not in ``before``, are of all replicas that serve ``now``."""
+    """Returns how many of a replica's ``streams`` should move to new replicas: streams * new replicas / all replicas,
+    rounded down. ``before`` and ``now`` are the ids of the replicas that served before and that serve now."""
     return streams * len(now - before) // len(now)
 
 
@@ -174,7 +174,7 @@ def application(settings: Settings, least: int, most: int) -> Application:
 
 def prepare_ray() -> None:
     """Sets the environment's variables that Ray reads when it is imported and when it starts a cluster from this
-    process. It is called before that."""
+    process. Call it before Ray is imported."""
     os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"  # otherwise all of Ray's ports are open to the network
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # otherwise Ray reports every start to its makers
     os.environ.setdefault("RAY_worker_niceness", "0")  # otherwise all other processes go before frames

@@ -17,7 +17,7 @@ WATCHERS: list[Callable[[frozenset[str]], object]] = []
 
 class RouterRules:
     """The part of ``Router`` that differs from Ray's own: a request goes to the replica with the fewest streams and
-    requests, and ``WATCHERS`` are called when other replicas serve."""
+    requests, and ``WATCHERS`` are called when the set of replicas that serve changes."""
 
     async def choose_replicas(self, candidate_replicas: list[Any], pending_request: Any = None) -> list[list[Any]]:
         """Returns all ``candidate_replicas`` as one rank, in random order. Ray takes the one with the fewest requests

@@ -49,8 +49,8 @@ COMPRESSION_LEVEL = 6  # of gzip
 
 @dataclass(frozen=True)
 class FolderRequest:
-    """The contents that a folder shall have: the id of the garment, the ids of the clips, the options of the drape, and
-    the body's shape coefficients (S,); () is the mean shape."""
+    """The contents of a folder by which browsers drape without a service: the id of the garment, the ids of the clips
+    (``motions``), the options of the drape, and the body's shape coefficients (S,); () is the mean shape."""
 
     garment: str
     motions: tuple[str, ...]
@@ -72,7 +72,9 @@ class Folder:
 
 
 async def write_folder(app: FastAPI, runtime: DrapeRuntime, request: FolderRequest, target: Path) -> None:
-    """Writes the folder ``target`` that ``request`` describes. ``app`` is the service around ``runtime``.
+    """Writes the folder ``target``, by which browsers drape without a service: the page, the engine, the network of the
+    garment that ``request`` names, and the answers of ``app`` that the page needs. ``app`` is the service around
+    ``runtime``.
 
     Refuses options or a model that a browser cannot drape by itself (``InputError``, ``ArtifactError``), a ``target``
     that holds something else (``InputError``), and a page that has not been built (``Unavailable``).

@@ -62,9 +62,9 @@ class StreamSession:
     the most frames under way. ``memories``: what the stages remember of the frames so far. ``generation``: how often it
     was opened again; results of earlier openings are thrown away. ``shown``: the message of the frame that the client
     shows. ``leaving``: whether it moves to another process, so that no frame is begun. ``dropped``: the number of poses
-    that newer ones replaced; of these ``late``, since they were last taken, waited only for a worker. ``outbox``: the
-    message to send next. ``failure``: the refusal that ends it. ``news`` is set when there is either. ``link`` leads to
-    the span of its request.
+    that newer ones replaced. ``late``: the number of these that waited only for a worker, since the last ``take_late``.
+    ``outbox``: the message to send next. ``failure``: the refusal that ends it. ``news`` is set when there is a message
+    or a refusal. ``link`` leads to the span of its request.
     """
 
     plan: Plan

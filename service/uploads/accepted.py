@@ -127,7 +127,7 @@ def find_elsewhere(root: Path, own: Path, job_id: str) -> tuple[Accepted, Path] 
 
 
 def read_accepted(folder: Path) -> Accepted | None:
-    """Returns the record in ``folder``; None if there is none, or if it does not fit the folder or its file is
+    """Returns the record in ``folder``; None if there is none, if the folder is not named by its id, or if its file is
     missing."""
     accepted = read_record(Accepted, folder / ABOUT)
     complete = accepted is not None and folder.name == accepted.id and (folder / accepted.file).is_file()

@@ -34,8 +34,10 @@ async def run_sandbox(
     kind: Kind | Literal["motion"] = "garment",
     waiting: Process | None = None,
 ) -> dict[str, Any]:
-    """Runs the intake of ``file``, which writes files to ``out``, and returns the report that it prints as its last
-    line (``service.uploads.sandbox``). Raises its refusal, or ``TooLarge`` for a limit of time or memory.
+    """Runs the intake of ``file`` in a process with limits, and returns its report: ``files``, the names of the files
+    that it wrote to ``out``, as ``intake_files``, ``avatar_files`` or ``motion_file`` says; ``stiff``, only of an
+    avatar whose clothes shall become garments, as ``avatar_files`` says. Raises the refusal of the intake, or
+    ``TooLarge`` for a limit of time or memory.
 
     ``avatar`` is, for a garment, the body that it was modelled on; for an avatar, its joints and parts and whether its
     clothes become garments, as JSON; for a motion, the name of the clip. ``begin_stage`` is called with the name of

@@ -18,11 +18,11 @@ Outcome = Literal["done", "failed", "cancelled"]
 
 @dataclass(frozen=True)
 class JobRecord:
-    """An upload that has ended: the fields of its ``JobInfo``.
+    """An upload that has ended: fields of its ``JobInfo``, and the key that sent it (``owner``).
 
-    ``garment`` is the id of the outermost garment, ``garments`` has all of them, the innermost first. ``avatar`` is the
-    id of an uploaded character. ``problem`` is the problem document of a failed one. ``wearer`` is the body that the
-    intake found from the cloth, as in a garment's manifest.
+    ``garment`` is the id of the outermost garment, ``garments`` has all ids, the innermost first. ``avatar`` is the id
+    of an uploaded character. ``problem`` is the problem document of a failed upload. ``wearer`` is the body that the
+    intake found from the cloth, with the fields of ``WearerFound``.
     """
 
     id: str

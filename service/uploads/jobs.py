@@ -40,7 +40,8 @@ log = logging.getLogger("drape.service")
 
 @dataclass(eq=False)
 class Job:
-    """An upload and its state. Fields that do not apply to the state are None or empty."""
+    """An upload and its state. ``results`` are the ids of its garments, the innermost first, or that of its avatar;
+    ``wearer`` has the fields of ``WearerFound``. Fields that do not apply to the state are None or empty."""
 
     id: str
     name: str
@@ -167,8 +168,9 @@ class Uploads:
         return Job(record.id, record.name, record.owner, record.state, kind, *outcome)
 
     async def cancel(self, job: Job) -> None:
-        """Cancels ``job`` and deletes its files; another service does so within ``DRAPE_GARMENTS_LOOK_S``. Of a job
-        that has ended only the record is deleted, and its garment stays."""
+        """Cancels ``job`` and deletes its files. If another service runs the job, that service does this when it next
+        looks at the folder, within ``DRAPE_GARMENTS_LOOK_S``. Of a job that has ended only the record is deleted; its
+        garment stays."""
         if job.ended:
             self._jobs.pop(job.id, None)
             await asyncio.to_thread(job_records.remove_record, self._root, job.id)

@@ -75,9 +75,9 @@ def _take_buffers() -> None:
 
 
 def intake_files(file: Path, out: Path, *, avatar: str | None, body: str) -> list[str]:
-    """Takes the garments of the mesh ``file`` in, writes their caches to ``out`` and returns the caches' names, the
-    innermost garment first. ``avatar`` is the body that they were modelled on, None where the intake finds it; ``body``
-    is the name of the standard body."""
+    """Takes the garments of the mesh ``file`` in and writes their caches to ``out``. Returns the file names of the
+    caches, the innermost garment first. ``avatar`` is the body that they were modelled on, None where the intake finds
+    it; ``body`` is the name of the standard body."""
     from drape.body.assets import load_body
     from drape.garment.intake import intake_outfit
 
@@ -86,11 +86,11 @@ def intake_files(file: Path, out: Path, *, avatar: str | None, body: str) -> lis
 
 
 def avatar_files(file: Path, out: Path, *, meaning: str | None, body: str) -> tuple[list[str], dict[str, str] | None]:
-    """Takes the character in ``file`` in and writes its wearer, and caches of its own clothes if ``meaning`` asks for
-    these, to ``out``.
+    """Takes the character in ``file`` in and writes its wearer to ``out``. ``meaning`` (``Accepted.avatar``) may ask
+    for its own clothes; their caches are written too.
 
-    Returns the names of the files, that of the wearer first, and by the names of parts why other clothes did not become
-    garments; None in place of these if ``meaning`` does not ask for clothes.
+    Returns the names of the files, that of the wearer first, and the clothes that did not become garments: a dict with
+    the names of their parts as keys and the reasons as values, None if ``meaning`` does not ask for clothes.
     """
     from drape.avatar.own_garments import own_garments
     from drape.avatar.wearer import read_wearer, save_wearer, wearer_name

@@ -11,8 +11,8 @@ AFTER_S = 5.0  # between two looks, so that the start of a process does not slow
 
 
 class Spare:
-    """Keeps at most one process ready, of some 60 MB. Every ``AFTER_S`` it starts one if there is none and ``idle()``
-    says that no upload waits or runs."""
+    """Keeps at most one process of the intake ready, of some 60 MB, so that an upload need not wait for its start.
+    Every ``AFTER_S`` it starts one if there is none and ``idle()`` says that no upload waits or runs."""
 
     def __init__(self, idle: Callable[[], bool]) -> None:
         self._idle, self._process = idle, None

@@ -35,8 +35,8 @@ def log_time(at_s: float) -> str:
 
 
 def free_outputs(form: str) -> None:
-    """Starts the process that hands standard output and error on, and makes this process write to it. It reports
-    dropped lines in the format ``form``, "json" or "text"."""
+    """Makes writing to standard output and error never wait: starts a process that takes all lines and passes them on.
+    It drops lines while nobody reads them, and reports how many in the format ``form``, "json" or "text"."""
     while (spare := os.open(os.devnull, os.O_RDWR)) <= 2:  # an output that is closed is opened to nothing
         pass
     counts = os.memfd_create("dropped") if sys.platform == "linux" else os.dup(spare)

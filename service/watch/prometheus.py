@@ -104,7 +104,8 @@ class Metrics:
         self, pushed_share: np.ndarray, push_max_m: np.ndarray, left_m: np.ndarray, resets: np.ndarray
     ) -> None:
         """Counts F draped frames. All arrays are (F,): the share of vertices that the push-out moved, in [0, 1]; the
-        farthest that it moved one [m]; the most that jets fall short of it [m]; the layers whose folds began anew."""
+        farthest that it moved one [m]; the most that jets fall short of the push-out of vertices [m]; the number of
+        layers whose folds began anew."""
         self.frames.inc(len(pushed_share))
         self.folds_resets.inc(float(resets.sum()))
         for series, values in (

@@ -22,11 +22,11 @@ COLLECTOR = "collector"
 
 
 class LoopWatch:
-    """Counts in ``Metrics.loop_held`` the steps and collections that keep the event loop busy for ``BRIEF_S`` or
-    longer.
+    """Counts in ``Metrics.loop_held`` what keeps the event loop busy for ``BRIEF_S`` or longer: steps of tasks, and
+    runs of Python's collector.
 
-    The state ``ran`` is their time on a processor. ``waited`` is the rest: for the interpreter lock, a processor or a
-    disk.
+    The histogram has two states: ``ran`` is time on a processor, ``waited`` the rest of a step, in which it waits for
+    the interpreter lock, a processor or a disk.
     """
 
     def __init__(self, metrics: Metrics) -> None:

@@ -44,9 +44,9 @@ def spent_s(number: int, *, thread: bool = False) -> float:
 
 @dataclass(eq=False)
 class WatchedJob:
-    """A running job of a ``lane``. ``clocks`` return the processor time [s] that it has taken; ``thread`` is its
-    thread's id, 0 for a process. ``moved_s`` [s, monotonic] is when it last moved; ``silent``: it has not called
-    ``say_moved``, so processor time counts."""
+    """A running job. ``lane`` is the name that all jobs of its kind share. ``clocks`` return the processor time [s]
+    that it has taken; ``thread`` is its thread's id, 0 for a process. ``moved_s`` [s, monotonic] is when it last made
+    progress (moved); ``silent``: it has not called ``say_moved``, so processor time counts as progress."""
 
     lane: str
     clocks: list[Callable[[], float]]
