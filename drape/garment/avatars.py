@@ -176,9 +176,9 @@ def _numbers(name: str, value: Any, count: int | None) -> np.ndarray:
 
 
 def mesh_avatar(path: Path, body: BodyModel) -> Avatar:
-    """Returns the avatar in the mesh file at ``path``, scaled to metres. MakeHuman's base mesh gives its vertices; to
-    any other surface ``body`` is fitted. Raises ``MeshError`` for a file that cannot be read, and ``BodyError`` for a
-    surface that is not an upright person."""
+    """Returns the avatar in the mesh file at ``path``, scaled to metres. Of MakeHuman's base mesh the vertices are
+    taken as they are; to any other surface ``body`` is fitted. Raises ``MeshError`` for a file that cannot be read, and
+    ``BodyError`` for a surface that is not an upright person."""
     from drape.garment.files.mesh import AVATAR_VERTEX_LIMIT, read_mesh
     from drape.garment.registration import body_units, register_body
 

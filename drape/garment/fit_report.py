@@ -103,7 +103,7 @@ def fit_report(garment: Garment, body: BodyModel, worn: JudgedDrape, *, fabric: 
 
 def regions_of(garment: Garment, body: BodyModel) -> np.ndarray:
     """Returns for each vertex of ``garment`` the number (N,) int of its region in ``REGIONS``: the region of the bone
-    with the largest weight."""
+    with the largest weight, but "hips" for cloth of the thighs above the crotch."""
     of_joint = np.zeros(JOINT_COUNT, dtype=np.int64)
     names = list(REGIONS)
     for number, joints in enumerate(REGIONS.values()):

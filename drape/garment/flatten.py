@@ -130,9 +130,11 @@ def _flatten(
 def lay_alike(
     placed: np.ndarray, before: np.ndarray, points: np.ndarray, triangles: np.ndarray, weight: np.ndarray
 ) -> np.ndarray | None:
-    """Returns positions (n, 2) in the plane for ``points`` (n, 3), near ``placed`` (n, 2), where an earlier state
-    ``before`` (n, 3) of the same cloth was laid. None if the cloth folds over there, as in caches of before charts were
-    laid flat, or if jets fit it clearly worse."""
+    """Returns positions (n, 2) in the plane for ``points`` (n, 3), taken from ``before`` (n, 3): the same cloth
+    elsewhere, which was laid at ``placed`` (n, 2). A point goes from ``placed`` to its projection as far as none of
+    ``triangles`` (T, 3) folds. None where the cloth folds at ``placed`` already, as in caches made before charts were
+    laid flat. None also where jets fit the result worse than ``WORSE`` times as they fit ``before``. ``weight`` (n,):
+    the weights in the chart."""
     settled = _settled(placed, points[:, :2], points, triangles)
     folds = (meshes.signed_areas(settled, triangles) <= 0.0).any() or (
         settled is placed and rims_cross(placed, triangles)

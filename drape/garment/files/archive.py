@@ -57,9 +57,9 @@ def files_beside(files: Files, folder: PurePosixPath) -> Beside:
 
 
 def zip_members(payload: bytes, name: str) -> Files:
-    """Returns a function for each file of the zip ``payload``, by its path there, that unpacks it to bytes. Raises
-    ``MeshError`` for a zip that is too large, encrypted or damaged, or has paths that lead out of it; the functions
-    raise it for damaged files."""
+    """Returns a dictionary: by the path of each file in the zip ``payload``, a function without arguments that returns
+    the file's bytes. Raises ``MeshError`` for a zip that is too large, encrypted or damaged, or has paths that lead out
+    of it; the functions raise it for damaged files."""
     if (entries := payload.count(b"PK\x01\x02")) > MOST_FILES:
         raise mesh_fault(
             name, f"at most {MOST_FILES} files in the zip", f"{entries}", "Keep the mesh and its pictures."
