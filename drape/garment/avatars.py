@@ -33,8 +33,8 @@ NUMBER_LIMIT = 1e6  # beyond it SMPL parameters are a mistake, and squares overf
 class Avatar:
     """A body in the pose that a garment was modelled on, with the topology of the standard body: vertex i of both is
     the same place on the body. ``vertices`` [m] (V, 3), y up, facing +z; ``faces`` (F, 3). ``residual_mm``: the mean
-    distance between the avatar as it was given and this body, 0 where the vertices are its own. ``source``: where it
-    came from, in words. ``moved``: False if the vertices are those of the standard body in T-pose."""
+    distance of the body as it was given from this one, 0 where it was not fitted. ``source``: where it came from, in
+    words. ``moved``: False if the vertices are those of the standard body in T-pose."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -48,7 +48,7 @@ class PhenotypeSpace:
     """anny's rest shapes of adults at the corners of a grid of phenotypes. ``labels``: the names of the grid's axes.
     ``anchors``: the ascending grid values on each axis. A corner has the vertices [m] ``mean`` (V, 3) + ``step_m``
     times its row of ``coefficients`` (C, B) times ``basis`` (B, 3 V). ``base_vertices`` (V,): the rows of these
-    vertices in MakeHuman's base mesh, which has ``base_vertex_count``."""
+    vertices in MakeHuman's base mesh, which has ``base_vertex_count`` vertices."""
 
     labels: tuple[str, ...]
     anchors: tuple[tuple[float, ...], ...]

@@ -63,8 +63,8 @@ class Region(NamedTuple):
 
 
 class FitReport(NamedTuple):
-    """How a garment fits a body: sentences in ``words``, ``ease`` by level of the body, figures by the name of the
-    region in ``regions``, and ``tension`` at each vertex."""
+    """How a garment fits a body: sentences in ``words``; ``ease`` by level of the body; ``regions``, by their names in
+    ``REGIONS``; and ``tension`` at each vertex of the subdivided mesh."""
 
     words: list[str]
     ease: dict[str, Ease]
@@ -117,8 +117,8 @@ def regions_of(garment: Garment, body: BodyModel) -> np.ndarray:
 def region_figures(
     named: np.ndarray, area: np.ndarray, tension: Tension, *, touching: np.ndarray, gap_m: np.ndarray
 ) -> dict[str, Region]:
-    """Returns the figures of each region with at least ``LEAST_AREA_M2`` of cloth, by its name. Per vertex (N,):
-    ``named``, the number of its region; ``area`` [m^2]; ``touching`` bool; ``gap_m``; and ``tension``."""
+    """Returns for each region with at least ``LEAST_AREA_M2`` of cloth its ``Region``, by its name in ``REGIONS``. Per
+    vertex (N,): ``named``, the number of its region; ``area`` [m^2]; ``touching`` bool; ``gap_m``; and ``tension``."""
     regions = {}
     for number, name in enumerate(REGIONS):
         rows = named == number

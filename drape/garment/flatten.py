@@ -58,9 +58,9 @@ def lay_flat(
     points: np.ndarray, plane: np.ndarray, triangles: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Returns the rows (m,) of ``points`` (n, 3) that are kept, and their positions (m, 2) in the plane, where no two
-    triangles overlap. None where no disc is left to lay out. ``plane`` (n, 2): positions to stay near. ``weight`` (n,):
-    the weight of each vertex in the chart; a piece that is no disc is cut where it is small. Vertices of cuts and of
-    smaller pieces are left out, and those where parts touch by a corner."""
+    of ``triangles`` (T, 3) overlap. None where no disc is left to lay out. ``plane`` (n, 2): positions to stay near.
+    ``weight`` (n,): the weight of each vertex in the chart. Only the largest piece is laid out; if that is no disc it
+    is cut, where weights are small. Vertices of cuts are left out, and those at which parts of the piece only touch."""
     disc = _largest_piece(triangles)
     while len(disc):
         rims = meshes.boundary_loops(disc)

@@ -94,8 +94,8 @@ class Sewing:
 
 def sewing_beside(path: Path) -> Sewing | None:
     """Returns the sewing in the JSON file of the same name beside the mesh at ``path``. None where there is no JSON of
-    this format, or where it names a mesh of another file format, whose rows are others. Raises ``InputError`` for one
-    of another version, or with missing or unknown fields."""
+    this format, or where it is about a mesh file of another format than ``path``. Raises ``InputError`` for one of
+    another version, or with missing or unknown fields."""
     file = path.with_suffix(".json")
     if not file.is_file():
         return None

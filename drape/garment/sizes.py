@@ -166,14 +166,14 @@ def moved_patches(garment: Garment, vertices: np.ndarray, body: BodyModel) -> di
 
 
 def field_in_space(points: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Returns the values (N, C) at ``points`` [m] (N, 3) of the spline of |x| that has ``values`` (A, C) at
-    ``points[rows]``."""
+    """Returns the values (N, C) at ``points`` [m] (N, 3) of a smooth field, the spline of |x|, that has ``values`` (A,
+    C) at the points ``rows`` (A,)."""
     return _spline(points[rows], values, "linear")(points)
 
 
 def field_in_panels(uv: np.ndarray, uv_faces: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Returns the values (T, C) at ``uv`` [m] (T, 2) of a thin-plate spline in each panel that has ``values`` (B, C) at
-    ``uv[rows]``; zeros in a panel that has none of these rows."""
+    the rows ``rows`` (B,) of ``uv``; zeros in a panel that has none of these rows."""
     panel = panels_of(uv, uv_faces)
     field = np.zeros((len(uv), values.shape[1]))
     for number in range(panel.max() + 1):

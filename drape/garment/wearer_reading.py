@@ -52,7 +52,7 @@ class Reading:
 
     @property
     def turned_round(self) -> Reading:
-        """The same reading but for the front, which is this one's back."""
+        """The same reading with the body turned round: its front is the back of this one's."""
         return replace(self, front=("-" if self.front[0] == "+" else "+") + self.front[1])
 
     def apply(self, points: np.ndarray) -> np.ndarray:
@@ -78,9 +78,9 @@ class WearerCandidate:
     reading, or the same body higher or lower, fits nearly as well. ``others`` are bodies that are nearly as likely.
 
     ``among`` ranks the bodies of one reading. It is the energy without cloth that hangs away from the skin, since
-    larger bodies are nearer to that, plus the cost of an uneven upper end. ``slid_m``: how far the skin under the cloth
-    is from that of another body of the same reading that fits as well; the largest of such distances, 0 if there is
-    none.
+    larger bodies are nearer to that, plus what an uneven upper end and cloth in the skin cost. ``slid_m``: how far the
+    skin under the cloth is from that of another body of the same reading that fits as well; the largest of such
+    distances, 0 if there is none.
     """
 
     reading: Reading
@@ -163,8 +163,8 @@ class WearerCandidate:
 
     @property
     def options(self) -> dict[str, str]:
-        """Returns the form fields of an upload that choose this body: "avatar", with unit, axes, betas, pose and
-        translation as JSON text."""
+        """Returns the form field of an upload that chooses this body: "avatar", the JSON text of ``axes``, "betas",
+        "pose" [rad] and "trans" [m]."""
         arrays = {"betas": self.betas, "pose": self.pose.reshape(-1), "trans": self.trans}
         numbers = {name: np.round(array, 4).tolist() for name, array in arrays.items()}
         return {"avatar": json.dumps(self.axes | numbers, separators=(",", ":"))}

@@ -45,7 +45,8 @@ def capsule(start: ArrayLike, end: ArrayLike, radius_m: float) -> np.ndarray:
 
 
 def seen_from(colliders: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """Returns ``colliders`` (M, 16) in coordinates whose origin is at ``origin`` [m] (3,), with the same axes."""
+    """Returns ``colliders`` (M, 16), rows as of ``plane``, in coordinates whose origin is at ``origin`` [m] (3,), with
+    the same axes."""
     if not len(colliders):
         return colliders
     moved = colliders.copy()
@@ -54,8 +55,8 @@ def seen_from(colliders: np.ndarray, origin: np.ndarray) -> np.ndarray:
 
 
 def distances(colliders: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Returns the distance [m] (P,) of each of ``points`` [m] (P, 3) from the nearest of ``colliders`` (M, 16):
-    negative inside one, infinite if there are none."""
+    """Returns the distance [m] (P,) of each of ``points`` [m] (P, 3) from the nearest of ``colliders`` (M, 16), rows as
+    of ``plane``: negative inside one, infinite if there are none."""
     nearest = np.full(len(points), np.inf)
     for row in colliders:
         q = np.abs((points - row[CENTRE:AXES]) @ row[AXES:HALF].reshape(3, 3).T) - row[HALF:RADIUS]

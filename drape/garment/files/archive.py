@@ -43,8 +43,9 @@ def read_zip(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
 
 
 def files_beside(files: Files, folder: PurePosixPath) -> Beside:
-    """Returns a function that takes a file's name, as a mesh in ``folder`` gives it, and returns its bytes; None where
-    ``files`` lacks it. The file is looked for at its path from ``folder``, and then by the last part of its name."""
+    """Returns a function that takes a file's name, as a mesh in ``folder`` gives it, and returns the file's bytes; None
+    where ``files`` lacks it. ``files``: what ``zip_members`` returns. The file is looked for at its path from
+    ``folder``, and then by the last part of its name."""
 
     def beside(wanted: str) -> bytes | None:
         plain = str(PurePosixPath(wanted.replace("\\", "/")))
