@@ -54,8 +54,8 @@ class FreeEdge:
 class Sewing:
     """How a garment is sewn: the contents of ``NAME.json`` beside its OBJ file ``mesh``. ``uv_unit_m``: metres of cloth
     per unit of uv. Cloth nearer than ``hem_width_m`` to an edge that is turned up or bound bends ``hem_bending`` times
-    as hard. ``panels``: their names. ``size``, ``body`` and ``ease_m``, by level of the body, say what it was cut for;
-    ``figures`` are numbers of its making, by any names."""
+    as hard. ``panels``: their names. ``size`` and ``body`` name what it was cut for; ``ease_m`` [m] is what was added
+    to girths of the body, by part ("chest", "arm", ...). ``figures``: numbers of its making, by any names."""
 
     name: str
     fabric: str
