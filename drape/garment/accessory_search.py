@@ -78,9 +78,9 @@ class _Place(NamedTuple):
 
 
 def accessory_wearer(mesh: GarmentMesh, body: BodyModel, hints: ReadingHints = NO_HINTS) -> WearerCandidate | None:
-    """Returns the body that wears ``mesh``, a checked mesh in the frame of its file, as a hat, a hood, glasses or
-    shoes: one of the known bodies, moved to the mesh. None where ``mesh`` is neither a hood nor carried by a bone
-    there, as it is with other cloth. ``hints``: what was stated of the file."""
+    """Returns the known body that wears ``mesh`` as a hat, a hood, glasses or shoes, moved to where the mesh is. None
+    for other cloth: what is no hood, and is carried by no bone there. ``mesh``: checked, in the frame of its file.
+    ``hints``: what was stated of the file."""
     points, face = cloth_points(mesh.vertices, mesh.faces, COUNT)
     areas = meshes.face_areas(mesh.vertices, mesh.faces)
     level = areas.sum() / COUNT * meshes.face_normals(mesh.vertices, mesh.faces)[face]

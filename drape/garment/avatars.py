@@ -33,8 +33,8 @@ NUMBER_LIMIT = 1e6  # beyond it SMPL parameters are a mistake, and squares overf
 class Avatar:
     """A body in the pose that a garment was modelled on, with the topology of the standard body: vertex i of both is
     the same place on the body. ``vertices`` [m] (V, 3), y up, facing +z; ``faces`` (F, 3). ``residual_mm``: the mean
-    distance between the avatar as it was given and this body, 0 where the vertices are its own. ``source``: where it
-    came from, in words. ``moved``: False if the vertices are those of the standard body in T-pose."""
+    distance of the body as it was given from this one, 0 where it was not fitted. ``source``: where it came from, in
+    words. ``moved``: False if the vertices are those of the standard body in T-pose."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -48,7 +48,7 @@ class PhenotypeSpace:
     """anny's rest shapes of adults at the corners of a grid of phenotypes. ``labels``: the names of the grid's axes.
     ``anchors``: the ascending grid values on each axis. A corner has the vertices [m] ``mean`` (V, 3) + ``step_m``
     times its row of ``coefficients`` (C, B) times ``basis`` (B, 3 V). ``base_vertices`` (V,): the rows of these
-    vertices in MakeHuman's base mesh, which has ``base_vertex_count``."""
+    vertices in MakeHuman's base mesh, which has ``base_vertex_count`` vertices."""
 
     labels: tuple[str, ...]
     anchors: tuple[tuple[float, ...], ...]
@@ -176,9 +176,9 @@ def _numbers(name: str, value: Any, count: int | None) -> np.ndarray:
 
 
 def mesh_avatar(path: Path, body: BodyModel) -> Avatar:
-    """Returns the avatar in the mesh file at ``path``, scaled to metres. MakeHuman's base mesh gives its vertices; to
-    any other surface ``body`` is fitted. Raises ``MeshError`` for a file that cannot be read, and ``BodyError`` for a
-    surface that is not an upright person."""
+    """Returns the avatar in the mesh file at ``path``, scaled to metres. Of MakeHuman's base mesh the vertices are
+    taken as they are; to any other surface ``body`` is fitted. Raises ``MeshError`` for a file that cannot be read, and
+    ``BodyError`` for a surface that is not an upright person."""
     from drape.garment.files.mesh import AVATAR_VERTEX_LIMIT, read_mesh
     from drape.garment.registration import body_units, register_body
 

@@ -106,10 +106,10 @@ def bind(
     part: np.ndarray,
     beyond: np.ndarray | None = None,
 ) -> BoundMesh:
-    """Returns ``mesh``, whose vertices are at ``places`` [m] (D, 3), bound to the cloth with vertices ``cloth`` [m] (V,
-    3) and triangles ``faces`` (F, 3). ``row`` (D,): the cloth's vertex that is the drawn one, else -1. ``part`` (D,):
-    the number of the stiff part that it belongs to, else -1. ``beyond`` (D, 3) [m]: positions from which the nearest
-    triangle is searched, by default ``places``."""
+    """Returns ``mesh`` bound to the cloth with vertices ``cloth`` [m] (V, 3) and triangles ``faces`` (F, 3). ``places``
+    [m] (D, 3): where the D vertices of ``mesh`` are. ``row`` (D,): the vertex of the cloth that is the same one, or -1.
+    ``part`` (D,): the number of the stiff part to which the vertex of ``mesh`` belongs, or -1. ``beyond`` [m] (D, 3):
+    the points for which the nearest triangle is searched, by default ``places``."""
     count = len(places)
     weight, kind = np.tile([1.0, 0.0, 0.0], (count, 1)), np.full(count, ON, dtype=np.uint8)
     corner, offset = np.repeat(np.maximum(row, 0)[:, None], 3, axis=1), np.zeros((count, 3))

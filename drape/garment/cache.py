@@ -51,8 +51,8 @@ class Atlas:
     Patches, in the body's frame: ``patch_rotation`` (K, 3, 3), columns u axis, v axis, normal; ``patch_centre`` [m] (K,
     3); ``patch_scale`` (K,) [m per unit of u, v]; ``patch_jet`` (K, 27), the jet at rest [patch scales];
     ``patch_weights`` (K, 24), bone weights; ``patch_shapedirs`` (K, 3, S), movement of the centre [m per unit of beta];
-    ``patch_features`` (K, D), input of the garment encoder; ``patch_neighbours`` (E, 2), pairs of patches that share a
-    boundary.
+    ``patch_features`` (K, D), input of the garment encoder, as the function of that name returns it;
+    ``patch_neighbours`` (E, 2), pairs of patches that share a boundary.
 
     Charts, four a vertex: ``chart_patch`` (N, 4), the patch; ``chart_uv`` (N, 4, 2), the place in it; ``chart_weight``
     (N, 4), rows summing to one, 0 for a chart that is not used; ``chart_residual`` (N, 4, 3) [m], rest position minus
@@ -106,8 +106,14 @@ class Garment(Atlas):
 
     ``drawn``: the mesh of the file, bound to the cloth, where another mesh is draped in its place; None where the cloth
     is the mesh of the file. Only a mantle, which covers arms and has no sleeves, has ``arm_share`` (N,), how far each
-    vertex follows its arm, and ``arm_ways`` [m] (N, K, 3), displacements from rest for K directions of the arms
-    (``mantle_shapes``).
+    vertex follows its arm, and ``arm_ways`` [m] (N, 6, 3), displacements from rest for the arms along each of
+    ``mantle_shapes.DIRECTIONS``.
+
+    ``digest``: hex, of all that the garment was made of; ``body_digest``: that of its body. ``manifest``: the record of
+    its making, for JSON. Intake writes "source" ("sha256" of the file, "vertex_count", "face_count"), "avatar"
+    ("source", "residual_mm"), "options" (``IntakeOptions``), "notes", "intake" (``RestMesh.figures``), "fit"
+    (``fit_error``, "patch_count", "area_m2") and "rest" (``RestFigures``). Some garments also have "carried_by", the
+    bones of an accessory; "layers", the number of garments in the file; "wearer" (``pictured``); or "size".
     """
 
     name: str
@@ -212,7 +218,8 @@ class Garment(Atlas):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The notes of its intake that whoever brought the file should know, without the word that begins them."""
+        """Returns the notes of intake for whoever sent the file: those of ``manifest`` that begin with ``WARNING``,
+        without that word."""
         notes = self.manifest.get("notes", ())
         return tuple(note.removeprefix(WARNING) for note in notes if note.startswith(WARNING))
 

@@ -93,7 +93,8 @@ def patch_frames(label: np.ndarray, normals: np.ndarray, area: np.ndarray, bone_
     """Returns the frames (K, 3, 3) of patches, in the frame of ``normals``: columns u axis, v axis, normal. The normal
     is the patch's mean normal, and the u axis its blended bone direction ``bone_direction`` (K, 3) laid into the
     tangent plane. Both vary smoothly over the body and carry no arbitrary sign, which lets one network serve partitions
-    that it has never seen. Where bone and normal agree, u looks to the front, or up."""
+    that it has never seen. Where bone and normal agree, u looks to the front, or up. Of each vertex: ``label`` (N,),
+    its patch; ``normals`` (N, 3); ``area`` (N,)."""
     count = len(bone_direction)
     weighted = area[:, None] * normals
     mean = np.stack([np.bincount(label, weighted[:, axis], count) for axis in range(3)], axis=1)

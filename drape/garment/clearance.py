@@ -117,16 +117,17 @@ def clear_body(
     give_up_m: float = GIVE_UP_DEPTH_M,
     through: bool = False,
 ) -> Cleared:
-    """Returns ``vertices`` [m] (N, 3) moved until each is at least ``CLEARANCE_M`` outside the closed body, in the same
-    frame, and how far they are from it and were moved.
+    """Returns ``vertices`` [m] (N, 3) pushed out of the closed body until each is at least ``CLEARANCE_M`` outside, in
+    the same frame, with their least distance from it and their largest movement.
 
     The first push maps distances through a softened maximum, which is monotone, so that a lining stays under its cloth.
     Later pushes lift what is still short. Each push is spread over the cloth, over shorter lengths from round to round,
     so that it ends without spikes. With ``through`` limbs may stick through the cloth, as toes through a short sock:
     cloth inside them leaves by the side that it looks to.
 
-    Raises ``MeshError`` if a vertex begins deeper than ``give_up_m`` in the body, or if after ``rounds`` pushes more
-    than a few places are nearer than ``least_m``.
+    Raises ``MeshError`` if a vertex begins deeper than ``give_up_m`` in the body, or if one is nearer than ``least_m``
+    after ``rounds`` pushes. If at most ``FEW_SHARE`` of the vertices are short of ``CLEARANCE_M``, these may end up to
+    ``FEW_DEPTH_M`` inside.
     """
     target, moved = CLEARANCE_M + MARGIN_M, vertices.copy()
     skin = _Skin(moved, body_vertices, body_faces)

@@ -56,8 +56,9 @@ SIMPLIFIED = (5 * VERTEX_LIMIT, 19 * VERTEX_LIMIT // 10)  # faces that quadrics 
 
 def join_sheets(mesh: GarmentMesh) -> GarmentMesh:
     """Returns ``mesh`` as sheets of cloth: copies of a vertex become one, and no edge has more than two faces. Faces
-    without area, faces drawn twice, and discs that close the end of a tube are left out. If that changes the mesh, the
-    vertices of the sheets follow those of ``mesh``, which stay in their rows."""
+    without area, faces drawn twice, and discs that close the end of a tube are left out. A mesh that needs no change is
+    returned itself. Otherwise the vertices of ``mesh`` come first, in their rows and without faces, and then the
+    vertices of the sheets."""
     sheets = cut_branches(without_flat_faces(without_cracks(without_copies(weld(mesh)))))
     if not (keep := without_caps(sheets.vertices, sheets.faces)).all():
         sheets = with_used_vertices(sheets.take_faces(keep)).noted(f"{int((~keep).sum())} faces close ends of tubes")

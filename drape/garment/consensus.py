@@ -29,13 +29,14 @@ STRAIN_POINTS = 1 + RING_COUNT
 
 @dataclass(frozen=True, eq=False)
 class Consensus:
-    """The constant tables of K patches over A anchors by which charts are brought to agree; float64.
+    """The constant tables by which the charts of K patches are brought to agree; float64. They agree at A anchors, a
+    few vertices of each patch.
 
-    ``anchor`` (A,): vertices of the garment. ``member`` (K, 56): the anchors that each patch covers, as rows of
-    ``anchor``; ``slot`` (K, 56): which of the anchor's four charts the patch is. Places that are not used hold zeros,
-    in ``fit`` too. ``fit`` (K, 21, 56) takes values at the members to coefficients: 15 of order 4 for the height, then
-    6 of order 2 for the plane. ``rest`` (K, 21, 3): the coefficients of the rest positions in the patch's frame [patch
-    scales].
+    ``anchor`` (A,): the anchors, as vertices of the garment. ``member`` (K, 56): the anchors that each patch covers, as
+    rows of ``anchor``; ``slot`` (K, 56): which of the anchor's four charts the patch is. Unused columns of both, and of
+    ``fit``, hold zeros. ``fit`` (K, 21, 56) takes values at the members to coefficients: 15 of order 4 for the height,
+    then 6 of order 2 for the plane. ``rest`` (K, 21, 3): the coefficients of the rest positions in the patch's frame
+    [patch scales].
 
     ``tangent`` (K, 7, 3, 2): derivatives by (u, v) of the rest jet at ``strain_points``. ``orthonormal`` (K, 7, 2, 2):
     upper triangular matrices; ``tangent @ orthonormal`` has orthonormal columns.
@@ -74,7 +75,7 @@ def consensus(
     patch_scale: np.ndarray,
 ) -> Consensus:
     """Returns the tables of a garment of K patches and V vertices. The arguments are the arrays of its ``Atlas`` of the
-    same names; ``chart_local`` (V, 4, 3) [m] is what the method returns."""
+    same names; ``chart_local`` [m] (V, 4, 3) is what ``Atlas.chart_local`` returns."""
     count = len(patch_scale)
     anchor = _anchors(chart_patch, chart_uv, chart_weight, count)
     patch, weight = chart_patch[anchor], chart_weight[anchor].astype(np.float64)

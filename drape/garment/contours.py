@@ -139,10 +139,10 @@ def open_contours(vertices: np.ndarray, faces: np.ndarray) -> list[Contour]:
 
 
 def bone_chains(joints: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
-    """Returns for each part of the body ("trunk" and four limbs) the polyline [m] (n, 3) along its bones, and the
-    length [m] of the polyline up to the part's origin: to the pelvis for the trunk, 0 for limbs. ``joints`` [m] (24,
-    3), in any pose. Chains go on for ``BEYOND_M`` after their last joints; the trunk begins below, between the
-    ankles."""
+    """Returns for each part of the body ("trunk", "left_leg", "right_leg", "left_arm", "right_arm") the polyline [m]
+    (n, 3) along its bones, and the length [m] of the polyline up to the part's origin: to the pelvis for the trunk, 0
+    for limbs. ``joints`` [m] (24, 3), in any pose. Chains go on for ``BEYOND_M`` after their last joints; the trunk
+    begins below, between the ankles."""
     check_shape("joints", joints, (JOINT_COUNT, 3))
     check_finite("joints", joints)
     at = dict(zip(JOINT_NAMES, joints, strict=True))

@@ -75,9 +75,13 @@ def encoder_features(garment: Garment, width: int, fabric: Fabric | None = None)
 
 def fabric_features(fabric: Fabric, grain: np.ndarray) -> np.ndarray:
     """Returns features (K, 12) float32 of ``fabric`` on K patches with ``grain`` (K, 2), as ``patch_grain`` returns it.
-    They are logarithms, so that each doubling counts alike. Differences of warp and weft turn with twice the grain's
-    angle, those of the bias with four times, so that the grain says nothing about cloth that is alike in all
-    directions."""
+
+    Six columns are alike on all patches: stretch, shear over stretch, ``cross_n_per_m`` over stretch, bending, bending
+    of the bias over bending, density. Stretch and bending are geometric means of warp and weft. The others turn with
+    the grain, so that it says nothing about cloth that is alike in all directions: 2, warp over weft in stretch, times
+    the grain; 2, the same in bending; 2, half the sum of columns 1 and 4 (from 0), times (cos 4a, sin 4a). All numbers
+    but column 2 are logarithms, so that each doubling counts alike.
+    """
     two = np.asarray(grain, dtype=np.float64)
     four = np.stack([two[:, 0] ** 2 - two[:, 1] ** 2, 2.0 * two[:, 0] * two[:, 1]], axis=1)
     stretch = np.sqrt(fabric.warp_n_per_m * fabric.weft_n_per_m)

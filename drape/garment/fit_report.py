@@ -63,8 +63,8 @@ class Region(NamedTuple):
 
 
 class FitReport(NamedTuple):
-    """How a garment fits a body: sentences in ``words``, ``ease`` by level of the body, figures by the name of the
-    region in ``regions``, and ``tension`` at each vertex."""
+    """How a garment fits a body: sentences in ``words``; ``ease`` by level of the body; ``regions``, by their names in
+    ``REGIONS``; and ``tension`` at each vertex of the subdivided mesh."""
 
     words: list[str]
     ease: dict[str, Ease]
@@ -103,7 +103,7 @@ def fit_report(garment: Garment, body: BodyModel, worn: JudgedDrape, *, fabric: 
 
 def regions_of(garment: Garment, body: BodyModel) -> np.ndarray:
     """Returns for each vertex of ``garment`` the number (N,) int of its region in ``REGIONS``: the region of the bone
-    with the largest weight."""
+    with the largest weight, but "hips" for cloth of the thighs above the crotch."""
     of_joint = np.zeros(JOINT_COUNT, dtype=np.int64)
     names = list(REGIONS)
     for number, joints in enumerate(REGIONS.values()):
@@ -117,8 +117,8 @@ def regions_of(garment: Garment, body: BodyModel) -> np.ndarray:
 def region_figures(
     named: np.ndarray, area: np.ndarray, tension: Tension, *, touching: np.ndarray, gap_m: np.ndarray
 ) -> dict[str, Region]:
-    """Returns the figures of each region with at least ``LEAST_AREA_M2`` of cloth, by its name. Per vertex (N,):
-    ``named``, the number of its region; ``area`` [m^2]; ``touching`` bool; ``gap_m``; and ``tension``."""
+    """Returns for each region with at least ``LEAST_AREA_M2`` of cloth its ``Region``, by its name in ``REGIONS``. Per
+    vertex (N,): ``named``, the number of its region; ``area`` [m^2]; ``touching`` bool; ``gap_m``; and ``tension``."""
     regions = {}
     for number, name in enumerate(REGIONS):
         rows = named == number

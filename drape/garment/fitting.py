@@ -180,12 +180,14 @@ def fit_jets(uv: np.ndarray, height: np.ndarray, blend: charts.ChartBlend, count
 
 
 def fit_error(rest: RestGarment, fields: dict[str, np.ndarray]) -> dict[str, float]:
-    """Returns figures of how well the blended jets of ``fields`` (``patch_fields``), without residual, follow the mesh
-    ``rest``: ``point_rmse_m`` and ``point_max_m`` [m], ``normal_error_deg`` [deg], the mean (OneFit, table 7).
+    """Returns how well the blended jets of ``fields`` (``patch_fields``), without residual, follow the mesh ``rest``.
+    ``point_rmse_m`` and ``point_max_m`` [m]: distances of vertices. ``normal_error_deg`` [deg]: the mean angle between
+    normals (OneFit, table 7).
 
-    Counts of fold-over, zero after intake: ``folded_chart_triangles`` lie upside down in (u, v), ``folded_charts`` are
-    no bijections. ``folded_chart_entries`` counts places where a jet leans past its plane. No height over a plane does
-    so; a chart that was laid flat may, if cloth bends that far.
+    Three numbers count fold-over. ``folded_chart_triangles``, triangles upside down in (u, v), and ``folded_charts``,
+    charts that are no bijections, are zero after intake. ``folded_chart_entries`` counts pairs of a vertex and one of
+    its charts where the normal of the jet points below the patch's plane. No projection has such pairs; a chart that
+    was laid flat may, if cloth bends that far.
     """
     patch = fields["chart_patch"]
     uv, weight = fields["chart_uv"].astype(np.float64), fields["chart_weight"].astype(np.float64)
@@ -224,12 +226,14 @@ def fit_garment(
     arm: np.ndarray | None = None,
     shapes: np.ndarray | None = None,
 ) -> Garment:
-    """Returns the garment of ``mesh`` at rest on ``body``, with patches and charts, and with the fit's figures in the
-    manifest under "fit". It has no rest state, the default fabric, and None for ``drawn``.
+    """Returns the garment of ``mesh`` at rest on ``body``, with patches and charts. It has no rest state, the default
+    fabric, and None for ``drawn``. Its manifest is ``manifest`` and under "fit" what ``fit_error`` returns,
+    "patch_count" and "area_m2".
 
     ``vertices`` [m] (N, 3): the rest positions of the vertices of ``mesh``, then of those that subdivision added;
     ``fine_faces`` (G, 3): the subdivided triangles. ``count``, ``share`` and ``like`` as in ``patch_fields``, ``arm``
-    as in ``bind_to_body``. ``shapes`` [m] (K, N, 3): those of a mantle over arms along ``mantle_shapes.DIRECTIONS``.
+    as in ``bind_to_body``. ``shapes`` [m] (6, N, 3): the vertices of a mantle over arms along each of
+    ``mantle_shapes.DIRECTIONS``; None for other cloth.
     """
     surface = RestSurface(np.asarray(vertices, dtype=np.float64), fine_faces)
     makes: list[Callable[[], Any]] = [lambda: skin.bind_to_body(surface.vertices, fine_faces, body, arm=arm)]

@@ -58,9 +58,9 @@ def lay_flat(
     points: np.ndarray, plane: np.ndarray, triangles: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Returns the rows (m,) of ``points`` (n, 3) that are kept, and their positions (m, 2) in the plane, where no two
-    triangles overlap. None where no disc is left to lay out. ``plane`` (n, 2): positions to stay near. ``weight`` (n,):
-    the weight of each vertex in the chart; a piece that is no disc is cut where it is small. Vertices of cuts and of
-    smaller pieces are left out, and those where parts touch by a corner."""
+    of ``triangles`` (T, 3) overlap. None where no disc is left to lay out. ``plane`` (n, 2): positions to stay near.
+    ``weight`` (n,): the weight of each vertex in the chart. Only the largest piece is laid out; if that is no disc it
+    is cut, where weights are small. Vertices of cuts are left out, and those at which parts of the piece only touch."""
     disc = _largest_piece(triangles)
     while len(disc):
         rims = meshes.boundary_loops(disc)
@@ -130,9 +130,11 @@ def _flatten(
 def lay_alike(
     placed: np.ndarray, before: np.ndarray, points: np.ndarray, triangles: np.ndarray, weight: np.ndarray
 ) -> np.ndarray | None:
-    """Returns positions (n, 2) in the plane for ``points`` (n, 3), near ``placed`` (n, 2), where an earlier state
-    ``before`` (n, 3) of the same cloth was laid. None if the cloth folds over there, as in caches of before charts were
-    laid flat, or if jets fit it clearly worse."""
+    """Returns positions (n, 2) in the plane for ``points`` (n, 3), taken from ``before`` (n, 3): the same cloth
+    elsewhere, which was laid at ``placed`` (n, 2). A point goes from ``placed`` to its projection as far as none of
+    ``triangles`` (T, 3) folds. None where the cloth folds at ``placed`` already, as in caches made before charts were
+    laid flat. None also where jets fit the result worse than ``WORSE`` times as they fit ``before``. ``weight`` (n,):
+    the weights in the chart."""
     settled = _settled(placed, points[:, :2], points, triangles)
     folds = (meshes.signed_areas(settled, triangles) <= 0.0).any() or (
         settled is placed and rims_cross(placed, triangles)

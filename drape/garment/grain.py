@@ -39,7 +39,7 @@ class Grain:
     flattening of the cloth; the warp there is the vertical laid into the triangle (``grain_along``). ``panel_edges``
     (G, 2, 2): the two edges from the first corner, along (warp, weft), in units of uv. ``seam`` (H,) bool: hinges at
     which panels end. ``scale_m``: metres of cloth per unit of uv, 0 where uv are no flattening. ``share``: the share of
-    the area in [0, 1] on which they are one.
+    the area in [0, 1] on which uv are a flattening.
     """
 
     warp: np.ndarray

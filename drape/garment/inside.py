@@ -60,16 +60,21 @@ def fit_from(
     sole: int | None = None,
     lock: float = 0.0,
 ) -> tuple[np.ndarray, float]:
-    """Returns the parameters (P,) of ``body`` after at most ``steps`` steps of Gauss-Newton from ``parameters``, and
-    their mean cost [m^2] over the cloth, priors included. Parameters are betas, joint rotations and translation as in
-    ``unpack_parameters``.
+    """Returns the parameters (P,) of ``body``, as in ``unpack_parameters``, after at most ``steps`` steps of
+    Gauss-Newton from ``parameters``; and the cost [m^2] before the last step. The cost is the mean over the cloth of
+    weight times gap squared, plus priors and the cost of cuffs. A gap [m] is a point's distance from the skin minus
+    ``LYING_GAP_M``. Negative gaps weigh 1. The weight of positive ones is their pull: ``PULL`` or less, the less the
+    larger the gap is.
 
     The cloth: ``points`` [m] (N, 3), y up, their ``normals`` (N, 3), and ``contours`` that limbs pass through.
     ``likely`` (P,): the parameters that priors draw towards; by default the mean shape in T-pose at the start's
     translation. ``shape_prior_m`` and ``place_prior_m`` (3,) [m]: root of the cost of one beta, and of one metre of
-    translation. ``slack``: factor on the pull of cloth off the skin, but for the band at the top that carries the
-    garment. The vertex ``sole`` is drawn to the floor y = 0. With a ``lock`` above 0 gaps count from the usual gap of
-    that band, and near that gap they weigh at least ``lock``.
+    translation. The vertex ``sole`` is drawn to the floor y = 0.
+
+    The band is the cloth at most ``BAND_M`` below the top, on which the garment hangs: its pull is ``BAND_PULL`` times
+    as large, that of other cloth ``slack`` times. A ``lock`` above 0 keeps the skin under cloth that lies on it. Then
+    ``LYING_GAP_M`` grows to the ``LYING_SHARE`` quantile of distances in the band, by at most ``LYING_MOST_M``, and no
+    weight is below ``lock`` / (1 + (gap / ``LOCK_REACH_M``)^2)^2.
     """
     cuffs = _cuffs(body, contours, parameters)
     if likely is None:

@@ -319,8 +319,8 @@ def _describe_fit(garment: Garment, options: IntakeOptions) -> list[str]:
 
 def with_rest_state(garment: Garment, rest: RestMesh, options: IntakeOptions, sewn: Sewing | None = None) -> Garment:
     """Returns ``garment``, which was fitted to ``rest``, with its rest state, with the fabric of ``options``, and with
-    figures of the rest state in the manifest under "rest". ``sewn`` says the angles and the stiffening of its hinges,
-    if it is known."""
+    the ``RestFigures`` in the manifest under "rest". ``sewn`` says the angles and the stiffening of its hinges, if it
+    is known."""
     compact = rest.mesh
     row = np.concatenate([rest.kept, np.arange(len(compact.vertices), len(rest.vertices))])
     faces = garment.fine_faces.astype(np.int64)

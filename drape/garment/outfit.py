@@ -83,8 +83,8 @@ def parted(mesh: GarmentMesh, sheets: GarmentMesh, label: np.ndarray) -> list[tu
 
 
 def part_names(mesh: GarmentMesh, parts: Sequence[GarmentMesh]) -> list[str]:
-    """Returns a name for each of the ``parts`` of ``mesh``, which begins with the mesh's: it goes on with the part's
-    material, if it has one that no other part has; otherwise with a number from 1. A single part has the mesh's
+    """Returns a name for each of the ``parts`` of ``mesh``: the mesh's name, and after it the part's material. If the
+    part has several, or another part has it too, the part's number from 1 follows instead. A single part has the mesh's
     name."""
     if len(parts) == 1:
         return [mesh.name]

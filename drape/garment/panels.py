@@ -27,10 +27,10 @@ END = 0.05  # a vertex nearer than this share of an edge to its end, or to anoth
 
 
 def with_sewn_panels(sheets: GarmentMesh, skin: np.ndarray) -> tuple[GarmentMesh, np.ndarray]:
-    """Returns ``sheets`` [m] (``join_sheets``) with the panels of a pattern sewn to each other, and for each of its
-    faces whether it is an outer side, bool (F,) (``walls.outer_sides``). Inner sides of walls are left out of what is
-    sewn. If no two pieces have a seam, ``sheets`` themselves are returned. Vertices keep their places and their order;
-    those that were joined follow them. ``skin`` [m] (S, 3): points of the body inside."""
+    """Returns ``sheets`` [m] (``join_sheets``) with the panels of a pattern sewn to each other, and bool (F,) for its
+    faces, True for outer sides (``walls.outer_sides``). If no two pieces have a seam, ``sheets`` themselves are
+    returned. Otherwise only outer sides are left. The vertices of ``sheets`` keep their rows; vertices that sewing
+    makes come after them. ``skin`` [m] (S, 3): points of the body inside."""
     points = sheets.vertices
     outer = outer_sides(points, sheets.faces, KDTree(skin))
     faces = sheets.faces[outer]

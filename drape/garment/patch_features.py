@@ -48,10 +48,16 @@ def patch_features(
     graph: scipy.sparse.csr_matrix,
     body: BodyModel,
 ) -> np.ndarray:
-    """Returns the features (K, D) float32 of K patches that the garment encoder reads; most distances are in
-    decimetres, so that entries are near one. Of the patches in the body's frame: ``centre`` [m] (K, 3), ``rotation``
-    (K, 3, 3), ``scale`` (K,), ``jet`` (K, 27), bone ``weights`` (K, 24), and ``seeds`` (K,), the vertex nearest to each
-    centre. Of the garment: ``vertices`` [m] (N, 3), ``faces`` (G, 3), and ``graph``, its ``vertex_graph``."""
+    """Returns the features (K, 154) float32 of K patches that the garment encoder reads. Their columns: 27, the
+    ``positional_encoding`` of the centre from the pelvis; 6, the rotation (``matrix_to_sixd``); 24, the bone weights;
+    15, the height coefficients of the jet, times 4; 3 + 1, the way to the nearest skin and its length [dm]; 1, the
+    distance to the nearest border [dm]; 1, how near that is, in [0, 1]; 3, this times the direction to the border; 1,
+    the scale [dm]; 72, the ways to the joints (``saturated``). Ways and directions are in the patch's frame.
+
+    Of the patches in the body's frame: ``centre`` [m] (K, 3), ``rotation`` (K, 3, 3), ``scale`` (K,), ``jet`` (K, 27),
+    bone ``weights`` (K, 24), and ``seeds`` (K,), the vertex nearest to each centre. Of the garment: ``vertices`` [m]
+    (N, 3), ``faces`` (G, 3), and ``graph``, its ``vertex_graph``.
+    """
     joints = body.joints_template
     local = np.einsum("kba,kjb->kja", rotation, joints[None] - centre[:, None])  # joints in the patch frame
     joint_offsets = saturated(local).reshape(len(centre), -1)

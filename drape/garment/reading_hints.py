@@ -43,9 +43,9 @@ NO_HINTS = ReadingHints()
 
 
 def reading_hints(meaning: Any) -> tuple[ReadingHints, Any]:
-    """Returns what ``meaning``, as ``avatars.parse_avatar`` returns it, states of the file, and the rest of
-    ``meaning``. Of a dictionary the rest lacks the entries of the file, and is None if it has no others. Raises
-    ``BodyError`` for an unknown unit or axis, and where the body would face along the axis that is up."""
+    """Returns what ``meaning``, as ``avatars.parse_avatar`` returns it, states of the file's unit and axes; and
+    ``meaning`` without that, None if a dictionary states nothing else. Raises ``BodyError`` for an unknown unit or
+    axis, and where the body would face along the axis that is up."""
     if not isinstance(meaning, dict) or not set(KEYS) & set(meaning):
         return NO_HINTS, meaning
     unit, up, front = (meaning.get(key) for key in KEYS)

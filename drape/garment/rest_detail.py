@@ -131,9 +131,9 @@ def rest_of(cloth: RestCloth, rest: Rest = "auto") -> tuple[RestState, RestFigur
 
 def creases(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Returns the dihedral angles [rad] (H,) of the hinges of a surface, in the order of ``meshes.hinges``, and which
-    of these are creases, bool (H,). A hinge is sharp if it turns by ``CREASE_RAD``, and by as much from the surface
-    smoothed over ``SMOOTHING_M``, or if it is folded over. It is a crease if the sharp hinges that it is connected with
-    span ``LINE_M``."""
+    of these are creases, bool (H,). A hinge is sharp if its angle is above ``CREASE_RAD``, and differs by as much from
+    its angle after the surface is smoothed over ``SMOOTHING_M``. A hinge that is folded over is sharp too. A sharp
+    hinge is a crease if it and the sharp hinges connected with it span ``LINE_M``."""
     angle = rest_state.dihedral_angles(vertices, faces)
     smooth = rest_state.dihedral_angles(smoother(vertices, faces, SMOOTHING_M)(vertices), faces)
     turn = angle - smooth
@@ -153,10 +153,10 @@ def creases(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def distortion(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Returns the ratio, at least 1, of the largest to the smallest factor by which areas change where panels of the
-    radius ``PANEL_RADIUS_M`` are laid flat; the median over the cloth ``vertices`` [m] (N, 3), ``faces``. A disc of
-    total curvature W on a sphere, mapped with least distortion (stereographically), has (1 - W / 4 pi)^-2 from rim to
-    centre. W is the angle defect, spread over the surface."""
+    """Returns by what factor areas differ, at least 1, in panels of the radius ``PANEL_RADIUS_M`` that are laid flat:
+    the median over the cloth ``vertices`` [m] (N, 3), ``faces``. It is (1 - W / 4 pi)^-2, the ratio of the factors at
+    rim and centre of a disc of total curvature W on a sphere, mapped with least distortion (stereographically). W is
+    the angle defect, spread over the surface."""
     area = meshes.vertex_areas(vertices, faces)
     defect = np.full(len(vertices), 2.0 * np.pi)
     for k in range(3):

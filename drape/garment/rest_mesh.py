@@ -41,13 +41,14 @@ class RestMesh:
     ``mesh``: the cloth without unused vertices, in metres on the avatar. ``kept`` (V,): the row in ``mesh`` of every
     delivered vertex. ``faces``: the delivered faces. ``vertices`` [m] (N, 3): the vertices of ``mesh`` at rest, then
     those that subdivision added. ``fine_faces`` (G, 3): the subdivided triangles. ``loose`` (N,) in [0, 1]: how much
-    each vertex hangs as a skirt does. ``resized``: the garment was moved from another body. ``figures``: what the log
-    of intake prints.
+    each vertex hangs as a skirt does. ``resized``: the garment was moved from another body. ``figures``, for log and
+    manifest: "avatar_residual_mm", "clearance_mm", "push_max_mm", "loose_share", "fine_vertex_count", and what
+    ``edge_strain`` returns, with "move_" before its names, "push_", and "total_" for both.
 
     ``drawn``: the delivered mesh, bound to the cloth, where the cloth is another mesh; else None. ``carriers``: the
     names of the bones that carry the garment rigidly, none for cloth. Only of a mantle: ``arm`` (N,), the shares of the
-    arms in [0, 1]; ``lay`` [m] (N, 3), where its cloth is without strain; ``shapes`` [m] (K, N, 3), over arms along
-    ``mantle_shapes.DIRECTIONS``.
+    arms in [0, 1]; ``lay`` [m] (N, 3), where its cloth is without strain; ``shapes`` [m] (K, N, 3), over arms along the
+    K ``mantle_shapes.DIRECTIONS``.
     """
 
     mesh: GarmentMesh

@@ -104,9 +104,10 @@ def moved_with_skin(
     body: BodyModel,
     skin: np.ndarray,
 ) -> np.ndarray:
-    """Returns the vertices [m] (V, 3) of a garment on ``avatar``, moved as the skin near them goes to ``skin`` [m] (B,
-    3), another pose and shape of the avatar's B vertices. ``averaging`` (V, B): the weights of that skin, rows summing
-    to one."""
+    """Returns the vertices [m] (V, 3) of a garment after the skin below it has moved from ``avatar`` to ``skin`` [m]
+    (B, 3), which is another pose and shape of the avatar's B vertices. ``vertices`` and ``faces``: the garment on
+    ``avatar``. ``averaging`` (V, B): how much each vertex of the garment follows each of the skin's, rows summing to
+    one."""
     weights = body.weights
     rotations, translations = bone_motions(avatar.vertices, skin, weights)
     skinned = np.einsum("vj,jab,vb->va", weights, rotations, avatar.vertices, optimize=True) + weights @ translations

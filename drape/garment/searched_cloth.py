@@ -28,9 +28,10 @@ LOOP_PIECE = 0.1  # a piece with a smaller share of the area is a strap, a lace 
 
 
 class SearchedCloth:
-    """The cloth of a garment whose wearer is looked for, in the unit and axes of its file: points on it in two
-    densities, their normals and pieces, its ``area``, its ``extent`` (the longest side of its box), and its long
-    borders."""
+    """The cloth ``mesh`` of a garment whose wearer is looked for, in the unit and axes of its file. Points on it (n,
+    3), in three densities: ``few``, with the normals ``few_normals``; ``points``, with ``normals`` and the number
+    ``piece`` (n,) of the piece of each; and ``many``. ``area``; ``extent``, the longest side of its box; and ``loops``
+    (L, 24, 3), points along each of its long borders."""
 
     def __init__(self, mesh: GarmentMesh) -> None:
         self.mesh = mesh

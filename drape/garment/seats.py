@@ -65,8 +65,8 @@ class Seat:
 
     def way(self, points: np.ndarray, bone: str) -> np.ndarray:
         """Returns the displacement [m] (3,) that brings an accessory with ``points`` [m] (N, 3) to its seat on the
-        bone called ``bone``: a shoe round the foot, glasses onto the nose, a hat onto the forehead. It is zero for
-        others."""
+        ``bone``: a shoe round the foot, glasses onto the nose, a hat onto the forehead. It is zero for other bones, and
+        for what is low on the head."""
         points = points[:: max(1, len(points) // SEAT_COUNT)]
         if bone.endswith("ankle"):
             return self._round_foot(points)

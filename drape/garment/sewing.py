@@ -54,7 +54,8 @@ class FreeEdge:
 class Sewing:
     """How a garment is sewn: the contents of ``NAME.json`` beside its OBJ file ``mesh``. ``uv_unit_m``: metres of cloth
     per unit of uv. Cloth nearer than ``hem_width_m`` to an edge that is turned up or bound bends ``hem_bending`` times
-    as hard. ``size``, ``body``, ``ease_m`` and ``figures`` tell how the garment was made."""
+    as hard. ``panels``: their names. ``size`` and ``body`` name what it was cut for; ``ease_m`` [m] is what was added
+    to girths of the body, by part ("chest", "arm", ...). ``figures``: numbers of its making, by any names."""
 
     name: str
     fabric: str
@@ -93,8 +94,8 @@ class Sewing:
 
 def sewing_beside(path: Path) -> Sewing | None:
     """Returns the sewing in the JSON file of the same name beside the mesh at ``path``. None where there is no JSON of
-    this format, or where it names a mesh of another file format, whose rows are others. Raises ``InputError`` for one
-    of another version, or with missing or unknown fields."""
+    this format, or where it is about a mesh file of another format than ``path``. Raises ``InputError`` for one of
+    another version, or with missing or unknown fields."""
     file = path.with_suffix(".json")
     if not file.is_file():
         return None
@@ -148,10 +149,10 @@ def sewn_hinges(
     """Returns the angles and the stiffening of the hinges of ``faces`` (G, 3), a subdivision of the faces of ``mesh``,
     as ``sewing`` says them.
 
-    ``kept`` (V,): the row in ``mesh`` of every delivered vertex. ``faces`` count the delivered vertices, then those
-    that subdivision added. ``on_corners``: the texture coordinates of ``faces``. A hinge has a seam's angle where both
-    ends lie on the seam, else 0. It is stiffened where both ends are near an edge that is turned up or bound, on all
-    panels that meet there, else 1.
+    ``kept`` (V,): the row in ``mesh`` of every delivered vertex. In ``faces`` the delivered vertices come first, then
+    those that subdivision added. ``on_corners``: the texture coordinates of ``faces``. A hinge has a seam's angle where
+    both ends lie on the seam, else 0. Its stiffening is ``hem_bending`` where both ends are near an edge that is turned
+    up or bound, on all panels that meet there, else 1.
     """
     ends = meshes.hinges(faces)[:, :2]
     angle = np.zeros(len(ends))

@@ -272,8 +272,8 @@ def border_share(points: np.ndarray, own: np.ndarray, others: np.ndarray, within
 
 def samples_to(points: np.ndarray, own: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns S random places (S, 3) on the faces ``own``, drawn by area; their distances (S,) to the faces ``others``;
-    and bool (S,), True where the nearest point of these is on their border, so that the place lies beyond it. All are
-    in the unit of ``points`` (N, 3), the vertices of both."""
+    and bool (S,), True where the nearest point of ``others`` is on the border of these, so that the place lies beyond
+    it. Places and distances are in the unit of ``points`` (N, 3), the vertices of both."""
     share = meshes.face_areas(points, own)
     chosen = np.random.default_rng(0).choice(len(own), SAMPLES, p=share / share.sum())
     places = points[own[chosen]].mean(axis=1)

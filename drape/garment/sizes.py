@@ -44,8 +44,8 @@ OTHERS = tuple(size for size in SIZES if size != "M")
 class SizeTable:
     """The sizes S, L and XL (``OTHERS``) of the garment with ``digest``, as differences from its M. ``moved`` [m] (3,
     A, 3): displacements of the vertices ``vertex`` (A,) on the standard body. ``grown`` [m] (3, B, 2): displacements of
-    the rows ``corner`` (B,) of the uv, which are panels in metres. ``measures``: by size, M included, and by level the
-    girths and the length [m]."""
+    the rows ``corner`` (B,) of the uv, which are panels in metres. ``measures``: for each size, M included, what
+    ``garment_measures`` returns."""
 
     digest: str
     vertex: np.ndarray
@@ -108,9 +108,9 @@ def sized_digest(garment: Garment, table: SizeTable, size: str) -> str:
 
 
 def sized(garment: Garment, body: BodyModel, table: SizeTable, size: str) -> Garment:
-    """Returns ``garment``, the size M, in ``size``, clear of the skin of ``body``, on which it was sewn; M is
-    ``garment`` itself. It takes seconds, most of them to clear it. Raises ``MeshError`` where the cloth cannot be
-    brought clear."""
+    """Returns ``garment``, which is the size M, in ``size`` (``SIZES``), clear of the skin of ``body``, on which it was
+    sewn. For M that is ``garment`` itself. It takes seconds, most of them for the push out of the skin. Raises
+    ``MeshError`` where the cloth cannot be brought clear."""
     if size == "M":
         return garment
     number = OTHERS.index(size)
@@ -166,14 +166,14 @@ def moved_patches(garment: Garment, vertices: np.ndarray, body: BodyModel) -> di
 
 
 def field_in_space(points: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Returns the values (N, C) at ``points`` [m] (N, 3) of the spline of |x| that has ``values`` (A, C) at
-    ``points[rows]``."""
+    """Returns the values (N, C) at ``points`` [m] (N, 3) of a smooth field, the spline of |x|, that has ``values`` (A,
+    C) at the points ``rows`` (A,)."""
     return _spline(points[rows], values, "linear")(points)
 
 
 def field_in_panels(uv: np.ndarray, uv_faces: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Returns the values (T, C) at ``uv`` [m] (T, 2) of a thin-plate spline in each panel that has ``values`` (B, C) at
-    ``uv[rows]``; zeros in a panel that has none of these rows."""
+    the rows ``rows`` (B,) of ``uv``; zeros in a panel that has none of these rows."""
     panel = panels_of(uv, uv_faces)
     field = np.zeros((len(uv), values.shape[1]))
     for number in range(panel.max() + 1):

@@ -41,8 +41,8 @@ def bind_to_body(
     vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, arm: np.ndarray | None = None
 ) -> BodyBinding:
     """Returns the bone weights and the shape movement of a garment with ``vertices`` [m] (N, 3) and ``faces``, at rest
-    on ``body`` in T-pose. ``arm`` (N,) in [0, 1]: how much each vertex goes with the arm on its side; by default as the
-    skin near it does."""
+    on ``body`` in T-pose. ``arm`` (N,) in [0, 1]: the share by which each vertex follows the arm on its side, and the
+    trunk by the rest; by default it follows the skin near it."""
     if arm is None:
         kernel = body_kernel(vertices, body)
     else:

@@ -13,8 +13,8 @@ MOST_SHARE = 0.2  # what has a larger share of the faces is no stray
 
 def without_strays(mesh: GarmentMesh) -> GarmentMesh:
     """Returns ``mesh`` without pieces far from the garment, with a note; ``mesh`` itself if there are none, or if they
-    are more than ``MOST_SHARE`` of the faces. The piece with the most faces stays, and so do pieces that are nearer to
-    one that stays than ``FAR`` times its extent."""
+    are more than ``MOST_SHARE`` of the faces. The piece with the most faces stays. So does, again and again, each piece
+    whose box is nearer to that of all that stays than ``FAR`` times the extent of that first piece."""
     label, areas = pieces_of(mesh.vertices, mesh.faces)
     count = len(areas)
     if count == 1:

@@ -44,9 +44,9 @@ def above_shoes(
 
 
 def apart(moved: np.ndarray, standing: np.ndarray, body: BodyModel, wearer: BodyModel) -> np.ndarray:
-    """Returns ``moved`` [m] (N, 3), a garment's vertices on ``wearer``, with the cloth of each leg kept on its own side
-    of the plane between the legs. Only cloth that is on that side at ``standing`` [m] (N, 3) on ``body`` is kept there:
-    as far from the plane as at ``standing``, or ``APART_M`` from it if that is less."""
+    """Returns ``moved`` [m] (N, 3), a garment's vertices on ``wearer``, with each leg kept on its own side of the plane
+    between the legs. ``standing`` [m] (N, 3): the vertices on ``body``. A vertex of a leg that is on its side at
+    ``standing`` ends at least as far from the plane as it is there, or ``APART_M`` from it if that is less."""
     nearest, kept = nearest_vertices(standing, body.v_template)[1], moved.copy()
     hips = [bones[0] for bones in LEGS.values()]
     here, there = (one.joints_template[hips, 0].mean() for one in (body, wearer))

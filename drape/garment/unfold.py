@@ -25,9 +25,9 @@ FADE = 0.35  # patch scales from a vertex that leaves a chart over which the cha
 
 
 def chart_triangles(blend: ChartBlend, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the triangles of all charts: the patch (T,) of each, and its corners (T, 3) as rows of the flattened
-    chart entries, ``4 * vertex + slot``. A face of ``faces`` (F, 3) is a triangle of each chart in which all its three
-    vertices have a weight."""
+    """Returns the triangles of all charts: the patch (T,) of each, and its corners (T, 3). A corner is the number
+    ``4 * vertex + slot``; the slot says which of the vertex's four charts it is. A face of ``faces`` (F, 3) is a
+    triangle of each chart in which all its three vertices have a weight."""
     slots = blend.patch.shape[1]
     used = blend.weight > 0
     owners, corners = [], []
@@ -45,16 +45,16 @@ def chart_triangles(blend: ChartBlend, faces: np.ndarray) -> tuple[np.ndarray, n
 
 
 def folded_triangles(blend: ChartBlend, uv: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Returns for each patch the number (K,) int of its chart's triangles that lie upside down or edge-on at ``uv`` (N,
-    4, 2)."""
+    """Returns for each patch the number (K,) int of its chart's triangles that lie upside down or edge-on. ``uv`` (N,
+    4, 2): the (u, v) of each vertex in its four charts, which are those of ``blend``."""
     owner, corners = chart_triangles(blend, faces)
     folded = signed_areas(uv.reshape(-1, 2).astype(np.float64), corners) <= 0.0
     return np.bincount(owner[folded], minlength=int(blend.patch.max()) + 1)
 
 
 def folded_charts(blend: ChartBlend, uv: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Returns which patches (K,) bool have a chart that is no bijection at ``uv`` (N, 4, 2): a triangle lies upside
-    down or edge-on, or the rim crosses itself."""
+    """Returns bool (K,), True for patches whose chart is no bijection: a triangle lies upside down or edge-on, or the
+    rim crosses itself. ``uv`` (N, 4, 2) as in ``folded_triangles``."""
     owner, corners = chart_triangles(blend, faces)
     places, count = uv.reshape(-1, 2).astype(np.float64), int(blend.patch.max()) + 1
     folded = np.bincount(owner[signed_areas(places, corners) <= 0.0], minlength=count) > 0
@@ -67,8 +67,9 @@ def folded_charts(blend: ChartBlend, uv: np.ndarray, faces: np.ndarray) -> np.nd
 
 @dataclass(frozen=True)
 class Flattened:
-    """Charts without fold-over: ``blend``, their patches and weights; ``uv`` (N, 4, 2), the places of vertices in them
-    [patch scales]; and ``unfolded`` (K,) bool, the patches whose charts are no projections but were laid flat."""
+    """Charts of N vertices in K patches, none of them folded over. ``blend``: the four patches of each vertex, and its
+    weights in them. ``uv`` (N, 4, 2): the (u, v) of each vertex in these four [patch scales]. ``unfolded`` (K,) bool:
+    True where the patch's chart was laid flat, False where it is the projection onto the patch's plane."""
 
     blend: ChartBlend
     uv: np.ndarray
@@ -78,10 +79,14 @@ class Flattened:
 def without_folds(
     blend: ChartBlend, local: np.ndarray, scale: np.ndarray, faces: np.ndarray, like: Atlas | None = None
 ) -> Flattened:
-    """Returns the charts ``blend`` of vertices at ``local`` [m] (N, 4, 3) in the patches' frames: projected onto the
-    patch's plane, but laid flat where the projection folds. ``scale`` (K,) [m per unit of u, v]. Vertices leave a chart
-    where it has to be cut, or hangs on by a corner, if another chart holds them; around them its weight fades, so that
-    the blend stays continuous. Charts are laid as in ``like``, an atlas with the same ``blend``, where that fits."""
+    """Returns the charts of ``blend`` without fold-over. A chart is the projection onto the plane of its patch; where
+    that folds, the chart is laid flat. ``local`` [m] (N, 4, 3): the position of each vertex in the frames of its four
+    patches. ``scale`` (K,) [m per unit of u, v]. ``faces`` (F, 3).
+
+    A chart that is laid flat may lose vertices (``lay_flat``). Around them its weight fades to zero, so that the blend
+    stays continuous. A vertex that would lose all its charts keeps the heaviest. ``like``: an atlas with the same
+    ``blend``, the same cloth on another body. A chart is then laid as there, unless ``lay_alike`` returns None for it.
+    """
     slots = blend.patch.shape[1]
     uv = local[..., :2] / scale[blend.patch][..., None]
     count = len(scale)

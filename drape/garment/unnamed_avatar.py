@@ -31,8 +31,9 @@ FLAT = 0.05  # its thickness over its length: what is worn has 0.2 or more, a sh
 
 
 def on_standard(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> GarmentMesh | None:
-    """Returns the checked ``mesh`` in metres, y up, if it lies close on the standard body in T-pose, with every limb in
-    its cloth; otherwise None."""
+    """Returns the checked ``mesh`` in metres, y up, if it was made for the standard body in T-pose: it lies close on
+    it, no bone goes through it, hardly any of it is deep in the skin, and it goes nearly all round the bones that it is
+    on. Otherwise None."""
     avatar = standard_avatar(body)
     try:
         placed = place_on_avatar(mesh, avatar, unit=options.unit, up=options.up, named=False)

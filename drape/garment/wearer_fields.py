@@ -123,9 +123,10 @@ class Bones:
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """The cost of cloth on a grid around a posed body: ``cost`` (X, Y, Z) float32 in cells of ``CELL_M``, and ``low``
-    [m] (3,), the middle of the first cell. ``parameters`` (``unpack_parameters``) and ``bones`` are the body's;
-    ``floor_m`` and ``top_m`` are the heights of its soles and its crown."""
+    """What it costs, without unit, that cloth lies at a place around a posed body. ``cost`` (X, Y, Z) float32: the
+    ``point_cost`` in each cell of a grid along x, y and z; a cell is ``CELL_M`` wide. ``low`` [m] (3,): the middle of
+    the first cell. ``parameters`` (P,) of the body as in ``unpack_parameters``; ``bones``: points along its bones.
+    ``floor_m`` and ``top_m``: the heights of its soles and its crown."""
 
     parameters: np.ndarray
     cost: np.ndarray
@@ -135,8 +136,9 @@ class Field:
     top_m: float
 
     def costs(self, points: np.ndarray, rises: np.ndarray, depths: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """Returns the costs (R, D) of cloth at ``points`` [m] (N, 3) after moves by whole cells: ``rises`` (R,) up and
-        ``depths`` (D,) forward. A cost is the sum over points, weighted by ``weight`` (N,)."""
+        """Returns the costs (R, D) of cloth that is moved by whole cells: by each of ``rises`` (R,) up and each of
+        ``depths`` (D,) forward. ``points`` [m] (N, 3): the cloth before. A cost is the sum of ``cost`` in the cells of
+        the points, each times its ``weight`` (N,)."""
         shape = np.array(self.cost.shape)
         room = np.stack([[0, -rises.min(initial=0), -depths.min()], [0, rises.max(initial=0), depths.max()]])
         cell = np.rint((points - self.low) / CELL_M).astype(np.int32)
@@ -147,8 +149,8 @@ class Field:
 
 
 def point_cost(distance: np.ndarray) -> np.ndarray:
-    """Returns the cost of a point of cloth at the signed ``distance`` [m] from the skin, of the same shape: 0 on the
-    skin, rising to 1 far outside and to 4 inside."""
+    """Returns the cost, without unit, of a point of cloth at the signed ``distance`` [m] from the skin, of the same
+    shape: 0 within ``FREE_M`` of the skin, rising to 1 far outside and to ``DEEP_MOST`` (4) inside."""
     depth = np.clip((-distance - FREE_M) / DEEP_M, 0.0, DEEP_MOST)
     outside = np.maximum(distance - FREE_M, 0.0) ** 2
     return depth + outside / (outside + FAR_M**2)
@@ -228,8 +230,8 @@ def joints_of(body: BodyModel, parameters: np.ndarray) -> np.ndarray:
 
 
 def field_of(body: BodyModel, parameters: np.ndarray) -> Field:
-    """Returns the grid of the costs of cloth around ``body`` with ``parameters``, betas, joint rotations and
-    translation as in ``unpack_parameters``."""
+    """Returns the grid of the costs of cloth around ``body`` with ``parameters`` (P,), which are those of
+    ``unpack_parameters``."""
     skin = posed_by(body, parameters)
     spread = np.array([(a, b, 3 - a - b) for a in range(4) for b in range(4 - a)]) / 3.0  # so that no cell is missed
     low = skin.min(axis=0) - MARGIN_M

@@ -36,8 +36,8 @@ AT_ONCE = np.zeros(1, dtype=np.int32)
 @dataclass(frozen=True, eq=False)
 class Guess:
     """A guess at who wore a garment, in one ``reading`` of its file: the body ``number`` of ``KNOWN``, when the cloth
-    is moved by ``move`` [m] (3,) onto it. ``energy``: its cost, less is likelier. ``origin``: the file's origin is at
-    the body's "root" or "floor", or elsewhere ("")."""
+    is moved by ``move`` [m] (3,) onto it. ``energy``: what that costs, without unit; less is likelier. ``origin``: the
+    file's origin is at the body's "root" or "floor", or elsewhere ("")."""
 
     reading: Reading
     number: int
@@ -47,9 +47,10 @@ class Guess:
 
 
 def guesses_of(cloth: SearchedCloth, fields: Sequence[Field], readings: Sequence[Reading]) -> list[Guess]:
-    """Returns guesses at the body in ``cloth``: places of the known bodies, whose costs are ``fields``, in each of
-    ``readings``; the likeliest first. They are ranked by distances from the skin. The best of them are judged by what
-    the cloth encloses and by the bones that it is not open for, too."""
+    """Returns the best guesses at the body in ``cloth``, the likeliest first: known bodies, each at several places, in
+    ``readings``. ``fields``: what ``known_fields`` returns. All guesses are ranked by distances from the skin. The best
+    of them are also ranked by how far the cloth goes round the bones, by bones that go through it, and by long openings
+    without a bone; these are returned."""
     laid = forked.each(lambda reading: _over_arms(cloth, fields, reading) + _places(cloth, fields, reading), readings)
     places = {reading: guesses for reading, guesses in zip(readings, laid, strict=True) if guesses}
 

@@ -52,7 +52,7 @@ class Reading:
 
     @property
     def turned_round(self) -> Reading:
-        """The same reading but for the front, which is this one's back."""
+        """The same reading with the body turned round: its front is the back of this one's."""
         return replace(self, front=("-" if self.front[0] == "+" else "+") + self.front[1])
 
     def apply(self, points: np.ndarray) -> np.ndarray:
@@ -71,14 +71,16 @@ class WearerCandidate:
     ``parameters`` (P,) are those that ``unpack_parameters`` takes. ``energy`` ranks bodies, without unit; it is 0 for
     cloth that lies on the skin all round. ``inside`` in [0, 1] is the share of the cloth deeper than 1 cm in the skin,
     and ``open_share`` in [0, 1] the share of the directions around its bones that is bare. ``band_m`` is the median
-    distance of the cloth's upper end from the skin. ``sleeved`` says whether the cloth shows the pose of the arms, and
+    distance of the cloth's upper end from the skin. Of accessories and jewellery both ``energy`` and ``band_m`` are the
+    distance [m] of the whole thing from the skin. ``sleeved`` says whether the cloth shows the pose of the arms, and
     ``fault`` what does not fit, "" if all does. ``odd_arms`` is the cost of arms in a pose that few have. ``origin``:
     the file's origin is at the body's "root" or "floor", or elsewhere (""). ``sure``, in [0, 1], is low where another
     reading, or the same body higher or lower, fits nearly as well. ``others`` are bodies that are nearly as likely.
 
     ``among`` ranks the bodies of one reading. It is the energy without cloth that hangs away from the skin, since
-    larger bodies are nearer to that, and with how evenly the upper end lies. Bodies that fit as well have their skin at
-    most ``slid_m`` from this one's.
+    larger bodies are nearer to that, plus what an uneven upper end and cloth in the skin cost. ``slid_m``: how far the
+    skin under the cloth is from that of another body of the same reading that fits as well; the largest of such
+    distances, 0 if there is none.
     """
 
     reading: Reading
@@ -147,8 +149,8 @@ class WearerCandidate:
 
     @property
     def doubts(self) -> list[str]:
-        """Returns a sentence for each of the ``others``: what the garment may be as well, and the avatar that says
-        so."""
+        """Returns a sentence for each of the ``others``: what the garment may be instead, and which avatar to state for
+        that."""
         sentences = []
         for other in self.others:
             backward = other.reading == self.reading.turned_round
@@ -161,14 +163,16 @@ class WearerCandidate:
 
     @property
     def options(self) -> dict[str, str]:
-        """Returns the form fields of an upload that choose this body: "avatar", with unit, axes, betas, pose and
-        translation as JSON text."""
+        """Returns the form field of an upload that chooses this body: "avatar", the JSON text of ``axes``, "betas",
+        "pose" [rad] and "trans" [m]."""
         arrays = {"betas": self.betas, "pose": self.pose.reshape(-1), "trans": self.trans}
         numbers = {name: np.round(array, 4).tolist() for name, array in arrays.items()}
         return {"avatar": json.dumps(self.axes | numbers, separators=(",", ":"))}
 
     def to_json(self) -> dict[str, Any]:
-        """Returns the candidate and its ``others`` as a dictionary for JSON, as the garment's manifest holds it."""
+        """Returns the candidate for JSON, as the garment's manifest holds it: "height_m", "arms_deg", "sure", "words"
+        and "options" like the fields and properties of these names; "unit", "up" and "facing", the reading; and
+        "others", a list of the same for each of the ``others``."""
         others = [one._facts() | {"words": one.words + one.unlike(self)} for one in self.others]
         return self._facts() | {"others": others}
 

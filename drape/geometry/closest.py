@@ -69,7 +69,8 @@ def nearest_vertices(points: np.ndarray, vertices: np.ndarray, count: int = 1) -
 
 
 def on_border(nearest: ClosestPoints, faces: np.ndarray) -> np.ndarray:
-    """Returns which of the N points in ``nearest`` lie on a boundary edge of the mesh ``faces`` (F, 3), bool (N,)."""
+    """Returns bool (N,), True for those of the N points in ``nearest`` that lie on a boundary edge of the mesh
+    ``faces`` (F, 3)."""
     corners = np.asarray(faces, dtype=np.int64)
     count = int(corners.max()) + 1
     border = boundary_edges(corners)

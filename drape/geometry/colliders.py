@@ -21,22 +21,23 @@ NONE = np.zeros((0, ROW))
 
 
 def plane(normal: ArrayLike, offset_m: float) -> np.ndarray:
-    """Returns the collider, a row (16,), of all x with ``normal`` . x <= ``offset_m``; ``normal`` is scaled to length 1
-    first."""
+    """Returns the collider of all x with ``normal`` . x <= ``offset_m``; ``normal`` is scaled to length 1 first. A
+    collider is a row (16,) of a rounded box: its centre [m] (3), axes (9), half sizes along these [m] (3), and radius
+    [m]."""
     n = np.asarray(normal, np.float64) / np.linalg.norm(normal)
     return _row((offset_m - DEEP_M) * n, _axes_about(n), np.full(3, DEEP_M), 0.0)
 
 
 def box(centre: ArrayLike, size: ArrayLike, turn: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
-    """Returns the collider, a row (16,), of a box around ``centre`` [m] with edges of the lengths ``size`` [m] (3,),
-    turned by the rotation vector ``turn`` [rad]."""
+    """Returns the collider (16,), a row as of ``plane``, of a box around ``centre`` [m] with edges of the lengths
+    ``size`` [m] (3,), turned by the rotation vector ``turn`` [rad]."""
     axes = Rotation.from_rotvec(np.asarray(turn, np.float64)).as_matrix().T
     return _row(np.asarray(centre, np.float64), axes, 0.5 * np.asarray(size, np.float64), 0.0)
 
 
 def capsule(start: ArrayLike, end: ArrayLike, radius_m: float) -> np.ndarray:
-    """Returns the collider, a row (16,), of all points within ``radius_m`` of the segment from ``start`` to ``end``
-    [m]; a ball if these are one point."""
+    """Returns the collider (16,), a row as of ``plane``, of all points within ``radius_m`` of the segment from
+    ``start`` to ``end`` [m]; a ball if these are one point."""
     a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
     length = float(np.linalg.norm(b - a))
     along = (b - a) / length if length > 0.0 else np.array([0.0, 1.0, 0.0])
@@ -44,7 +45,8 @@ def capsule(start: ArrayLike, end: ArrayLike, radius_m: float) -> np.ndarray:
 
 
 def seen_from(colliders: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """Returns ``colliders`` (M, 16) in coordinates whose origin is at ``origin`` [m] (3,), with the same axes."""
+    """Returns ``colliders`` (M, 16), rows as of ``plane``, in coordinates whose origin is at ``origin`` [m] (3,), with
+    the same axes."""
     if not len(colliders):
         return colliders
     moved = colliders.copy()
@@ -53,8 +55,8 @@ def seen_from(colliders: np.ndarray, origin: np.ndarray) -> np.ndarray:
 
 
 def distances(colliders: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Returns the distance [m] (P,) of each of ``points`` [m] (P, 3) from the nearest of ``colliders`` (M, 16):
-    negative inside one, infinite if there are none."""
+    """Returns the distance [m] (P,) of each of ``points`` [m] (P, 3) from the nearest of ``colliders`` (M, 16), rows as
+    of ``plane``: negative inside one, infinite if there are none."""
     nearest = np.full(len(points), np.inf)
     for row in colliders:
         q = np.abs((points - row[CENTRE:AXES]) @ row[AXES:HALF].reshape(3, 3).T) - row[HALF:RADIUS]

@@ -10,7 +10,8 @@ from drape.engine.calls import call_with_scratch
 
 def colour_order(graph: scipy.sparse.csr_matrix) -> tuple[np.ndarray, np.ndarray]:
     """Returns the vertices (V,) int32 of the symmetric matrix ``graph`` (V, V) sorted by colour, and where each of C
-    colours begins among them, (C + 1,) int32 with V at the end. Two vertices with an entry have different colours."""
+    colours begins among them, (C + 1,) int32 with V at the end. Two vertices with an entry in ``graph`` have different
+    colours."""
     colour = greedy_colours(graph.indptr, graph.indices)
     start = np.concatenate([[0], np.cumsum(np.bincount(colour))])
     return np.argsort(colour, kind="stable").astype(np.int32), start.astype(np.int32)

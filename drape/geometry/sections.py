@@ -70,8 +70,8 @@ def closed_rings(section: Section, vertices: np.ndarray) -> list[Ring]:
 
 
 def convex_hull(points: np.ndarray) -> ConvexHull | None:
-    """Returns the convex hull of ``points`` (n, 2), whose attribute ``area`` is its perimeter. None where they are
-    fewer than three, or lie on a line."""
+    """Returns the convex hull of ``points`` (n, 2) as scipy's ``ConvexHull``, whose ``area`` is the perimeter in the
+    plane. None where they are fewer than three, or lie on a line."""
     try:
         return ConvexHull(points) if len(points) > 2 else None
     except QhullError:

@@ -43,8 +43,9 @@ def read_zip(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
 
 
 def files_beside(files: Files, folder: PurePosixPath) -> Beside:
-    """Returns a function that takes a file's name, as a mesh in ``folder`` gives it, and returns its bytes; None where
-    ``files`` lacks it. The file is looked for at its path from ``folder``, and then by the last part of its name."""
+    """Returns a function that takes a file's name, as a mesh in ``folder`` gives it, and returns the file's bytes; None
+    where ``files`` lacks it. ``files``: what ``zip_members`` returns. The file is looked for at its path from
+    ``folder``, and then by the last part of its name."""
 
     def beside(wanted: str) -> bytes | None:
         plain = str(PurePosixPath(wanted.replace("\\", "/")))
@@ -57,9 +58,9 @@ def files_beside(files: Files, folder: PurePosixPath) -> Beside:
 
 
 def zip_members(payload: bytes, name: str) -> Files:
-    """Returns a function for each file of the zip ``payload``, by its path there, that unpacks it to bytes. Raises
-    ``MeshError`` for a zip that is too large, encrypted or damaged, or has paths that lead out of it; the functions
-    raise it for damaged files."""
+    """Returns a dictionary: by the path of each file in the zip ``payload``, a function without arguments that returns
+    the file's bytes. Raises ``MeshError`` for a zip that is too large, encrypted or damaged, or has paths that lead out
+    of it; the functions raise it for damaged files."""
     if (entries := payload.count(b"PK\x01\x02")) > MOST_FILES:
         raise mesh_fault(
             name, f"at most {MOST_FILES} files in the zip", f"{entries}", "Keep the mesh and its pictures."

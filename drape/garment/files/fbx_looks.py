@@ -17,9 +17,10 @@ from drape.garment.files.mesh import Beside
 def fbx_looks(
     materials: Sequence[dict[str, Any] | None], files: Sequence[tuple[list[str], bytes]], beside: Beside
 ) -> tuple[Looks, tuple[str, ...]]:
-    """Returns the look of each of ``materials``, None for a None, and notes about pictures that are missing or left
-    out. ``materials``: dictionaries as ``drape.files.fbx`` reads them. ``files``: for each picture its possible names
-    and its bytes, empty if it is not in the file; such pictures are read by ``beside``."""
+    """Returns the looks of ``materials``, in their order, and notes about pictures that are missing or left out.
+    ``materials``: dictionaries as ``drape.files.fbx`` reads them; where one is None its look is None. ``files``: for
+    each picture its possible names and its bytes, empty if it is not in the file; such pictures are read by
+    ``beside``."""
     numbers: dict[Any, int] = {}
     held: list[bytes] = []
     notes: list[str] = []

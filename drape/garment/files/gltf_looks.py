@@ -13,8 +13,8 @@ from drape.files.looks import Looks, Material, Slot
 
 
 def gltf_looks(file: GltfFile, used: list[int | None]) -> tuple[Looks, tuple[str, ...]]:
-    """Returns the look of each of the materials numbered ``used`` of ``file``, None for a None and for a material
-    without a look, and notes about pictures and looks that are left out."""
+    """Returns the looks of the materials of ``file`` with the numbers ``used``, in their order, and notes about
+    pictures and looks that are left out. A look is None where the number is None, and where the material has none."""
     pictures: dict[str, int] = {}
     held: list[bytes] = []
     notes: list[str] = []

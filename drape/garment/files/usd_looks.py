@@ -34,8 +34,8 @@ def coordinates_of(prims: Sequence[Any | None]) -> str:
 
 
 def usd_looks(prims: Sequence[Any | None], beside: Beside) -> tuple[Looks, tuple[str, ...]]:
-    """Returns the look of each of the material ``prims``, None for a None and for one without a UsdPreviewSurface, and
-    notes about what is missing or left out. ``beside`` returns the bytes of a picture."""
+    """Returns the looks of the materials ``prims``, in their order, and notes about what is missing or left out. A look
+    is None where the prim is None or has no UsdPreviewSurface. ``beside`` returns the bytes of a picture."""
     reader = _Reader(beside)
     looks = tuple(None if prim is None else reader.material(prim) for prim in prims)
     return Looks(looks, tuple(reader.held)), tuple(dict.fromkeys(reader.notes))
