@@ -140,8 +140,8 @@ def _says_itself(entry: Any) -> bool:
 
 def upload_avatar_call(path: Path, name: str | None, alive: bool) -> Call[dict[str, Any]]:
     """Returns the call that sends the character file at ``path`` under ``name``, by default the file's; its answer is
-    the job. With ``alive`` its own clothes become garments. Refuses (``InputError``) other suffixes and a file that
-    cannot be read."""
+    the upload's job. With ``alive`` its own clothes become garments. Refuses (``InputError``) other suffixes and a file
+    that cannot be read."""
     if path.suffix.lower() not in AVATAR_SUFFIXES:
         expected, got = f"one of {', '.join(AVATAR_SUFFIXES)}", path.suffix or "no suffix"
         raise InputError(path.name, expected=expected, got=got, cure="Export the character so.")
@@ -161,10 +161,10 @@ def _content(path: Path) -> bytes:
 
 def upload_call(path: Path, avatar: str | dict[str, Any] | None, name: str | None) -> Call[dict[str, Any]]:
     """Returns the call that sends the garment file at ``path`` under ``name``, by default the file's; its answer is the
-    job.
+    upload's job.
 
-    ``avatar``: the body that it was modelled on, None for the entry of a table beside the file, if there is one.
-    Refuses (``InputError``) other suffixes and a file that cannot be read.
+    ``avatar``: the body that it was modelled on. None takes the one that ``avatars.json`` beside the file has for it,
+    unless that is a mesh file. Refuses (``InputError``) other suffixes and a file that cannot be read.
     """
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise InputError(

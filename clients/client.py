@@ -243,9 +243,9 @@ __all__ = ["AsyncDrapeClient", "DrapeClient", "DrapeError"]
 class Avatar:
     """An avatar of a service, the garments that it wears, the innermost first, and the options of their drape.
 
-    A motion is a clip, SMPL poses (F, 24, 3) [rad], the name of a sample clip, or the local quaternions (F, N, 4), x,
-    y, z, w, of the nodes of its own rig in the order of ``nodes``; ``trans`` [m] (F, 3) is then where the node of its
-    pelvis is.
+    A ``motion`` is a clip, SMPL poses (F, 24, 3) [rad], or the name of a sample clip. It may also be local quaternions
+    (F, N, 4), x, y, z, w, of the avatar's own ``nodes``, in their order; ``trans`` [m] (F, 3) are then the positions of
+    the node of the pelvis.
     """
 
     client: DrapeClient
@@ -276,7 +276,7 @@ class Avatar:
 
     def glb(self, motion: str | Motion, *, trans: np.ndarray | None = None, joints: int | None = None) -> bytes:
         """Returns the bytes of a GLB of the garments over ``motion``, skinned to the nodes of the avatar's own file and
-        in its unit, with morph targets, or with so many ``joints`` for each garment besides.
+        in its unit. Garments have morph targets, or with ``joints`` each has that number of joints of its own.
 
         Refuses (``InputError``) a clip that is longer than one request may be.
         """

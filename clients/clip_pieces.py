@@ -25,8 +25,11 @@ def most_frames(health: dict[str, Any], frame_bytes: int) -> int:
 
 
 def piece(call: Call[Answer], rows: slice, past: str | None) -> Call[tuple[Answer, str | None]]:
-    """Returns a call like ``call`` for the frames ``rows`` of its clip, which follow the piece named ``past``, None at
-    the beginning. Its answer is that of the frames, and the name of this piece: the ``past`` of the next one."""
+    """Returns a call like ``call`` for the frames ``rows`` of its clip. Its answer is a pair: the answer for these
+    frames, and the name under which the service remembers the cloth after the last of them, None where it does not.
+
+    ``past`` is the name that came with the piece before, None for the first piece.
+    """
     assert call.clip is not None
     more: dict[str, Any] = {}
     if call.path == DRAPE:  # a posed body remembers nothing

@@ -34,8 +34,8 @@ def layers(meshes: Sequence[Surface], vertices: np.ndarray) -> list[np.ndarray]:
 
 
 def check_at_once(call: Call[bytes], most: int) -> None:
-    """Refuses (``InputError``) a GLB with a body or on a rig for a clip in pieces, of more than ``most`` frames: only
-    the service can write these."""
+    """Refuses (``InputError``) a ``call`` whose GLB has a body or is on a rig, since only the service can write that.
+    The clip of ``call`` has more than ``most`` frames, the most of one request."""
     assert call.clip is not None
     for name in ("body", "rig"):
         if call.json.get(name):
@@ -45,8 +45,8 @@ def check_at_once(call: Call[bytes], most: int) -> None:
 
 
 def glb_of(call: Call[bytes], meshes: Sequence[Surface], vertices: np.ndarray, roots: np.ndarray) -> bytes:
-    """Returns the bytes of the GLB that ``call`` asks for, of ``vertices`` [m] (F, V, 3) of all ``meshes``, relative to
-    the ``roots`` [m] (F, 3) of the frames."""
+    """Returns the bytes of the GLB that ``call`` asks for. ``vertices`` [m] (F, V, 3) are those of all ``meshes``, one
+    mesh after the other, relative to the ``roots`` [m] (F, 3) of the frames."""
     assert call.clip is not None
     file = GlbFile()
     root_motion = RootMotion(call.clip.poses[:, 0], roots) if call.json["quantised"] else None

@@ -40,29 +40,34 @@ from drape.wire.options import Resolution
 
 class Methods:
     """The calls of a client. The service is asked once how many frames a request may have, and longer clips go in
-    pieces."""
+    pieces.
+
+    A dictionary that is returned has the fields of the service's class that the method names; a service lists these at
+    ``/docs``.
+    """
 
     def __init__(self) -> None:
         self._health: dict[str, Any] | None = None
 
     def health(self) -> Call[dict[str, Any]]:
-        """Returns the service's version, model, body, provider and limits by name."""
+        """Returns the service's version, model, body, provider and limits (``Health``)."""
         return get_call("health")
 
     def garments(self) -> Call[list[dict[str, Any]]]:
-        """Returns the garments that can be draped, a document for each. A drape names one by its ``id``."""
+        """Returns the garments that can be draped, a ``GarmentInfo`` each. A drape names one by its ``id``."""
         return get_call("garments")
 
     def tiers(self) -> Call[list[dict[str, Any]]]:
-        """Returns the tiers that a drape may name by ``id``, the cheapest first, each with its measured figures."""
+        """Returns the tiers that a drape may name by ``id``, the cheapest first, a ``TierInfo`` each."""
         return get_call("tiers")
 
     def avatars(self) -> Call[list[dict[str, Any]]]:
-        """Returns the avatars that can wear garments, each with its ``id``, joints, fit and height [m]."""
+        """Returns the avatars that can wear garments, each with its ``id``, joints, fit and height (``AvatarInfo``)."""
         return get_call("avatars")
 
     def about_avatar(self, avatar: str) -> Call[dict[str, Any]]:
-        """Returns the avatar with this id: its joints and how they were found, its nodes, fit and height [m]."""
+        """Returns the avatar with this id: its joints and how they were found, its nodes, fit and height, and what it
+        can wear (``AvatarWears``)."""
         return get_call("avatars", avatar)
 
     def remove_avatar(self, avatar: str) -> Call[bytes]:
@@ -70,16 +75,17 @@ class Methods:
         return Call("DELETE", url_path("avatars", avatar), calls.read_bytes)
 
     def fabrics(self) -> Call[list[dict[str, Any]]]:
-        """Returns the fabrics that a drape may name by ``id``, each with its numbers."""
+        """Returns the fabrics that a drape may name by ``id``, each with its numbers (``FabricInfo``)."""
         return get_call("fabrics")
 
     def bodies(self) -> Call[list[dict[str, Any]]]:
         """Returns the bodies of the service, each with its ``id`` and its numbers of vertices, faces and shape
-        coefficients."""
+        coefficients (``BodyInfo``)."""
         return get_call("bodies")
 
     def motions(self) -> Call[list[dict[str, Any]]]:
-        """Returns the sample clips of the service, each with its ``id``, name, number of frames and frames a second."""
+        """Returns the sample clips of the service, a ``MotionInfo`` each: ``id``, name, number of frames, frames a
+        second."""
         return get_call("motions")
 
     def motion(self, name: str, betas: np.ndarray | None = None, avatar: str | None = None) -> Call[MotionClip]:
@@ -98,13 +104,14 @@ class Methods:
         return calls.place_clip(clip, (yield get_call("bodies", name, betas=betas)))
 
     def measures(self, betas: np.ndarray | None = None) -> Steps[dict[str, Any]]:
-        """Returns the measures of the service's body in the shape ``betas`` [m, kg] by name, and the range of each."""
+        """Returns the ``measures`` [m, kg] by name of the service's body in the shape ``betas``, and their ``ranges``
+        (``MeasuresDocument``)."""
         name = (yield self.bodies())[0]["id"]
         return (yield get_call("bodies", name, "measures", betas=betas))
 
     def shape(self, **measures: float) -> Steps[dict[str, Any]]:
-        """Returns the likeliest ``betas`` of the service's body for ``measures``, such as ``height_m=1.7``, the
-        measures of that shape, and by how much these miss the given ones."""
+        """Returns the likeliest ``betas`` of the service's body for ``measures``, such as ``height_m=1.7``, all
+        ``measures`` of that shape, and by how much it is above given ones that are ``missed`` (``ShapeDocument``)."""
         name = (yield self.bodies())[0]["id"]
         return (yield post_call(measures, "bodies", name, "shapes"))
 
@@ -118,7 +125,8 @@ class Methods:
         size: str | None = None,
         vertices: bool = False,
     ) -> Call[dict[str, Any]]:
-        """Returns where ``garment`` is tight or loose on a body, in words and numbers; ``pose`` is (24, 3) [rad].
+        """Returns where ``garment`` is tight or loose on a body, in words and numbers (``FitDocument``); ``pose`` is
+        (24, 3) [rad].
 
         With ``vertices`` the answer also has the strain along warp and weft and the pressure [N/m^2] of each vertex.
         """
@@ -134,8 +142,8 @@ class Methods:
         return get_call("garments", garment, "size", betas=betas)
 
     def mesh(self, garment: str, resolution: Resolution = "delivered", size: str | None = None) -> Call[dict[str, Any]]:
-        """Returns the garment's mesh of a ``resolution`` at rest as lists: ``vertices`` (V, 3) [m], ``faces`` (F, 3),
-        ``uv`` (T, 2) and ``uv_faces`` (F, 3)."""
+        """Returns the garment's mesh of a ``resolution`` at rest as lists (``MeshDocument``): ``vertices`` (V, 3) [m],
+        ``faces`` (F, 3), texture coordinates ``uv`` (T, 2), and ``uv_faces`` (F, 3), which are indices of these."""
         more: dict[str, Any] = {} if size is None else {"size": size}
         return get_call("garments", garment, "mesh", resolution=resolution, **more)
 

@@ -73,8 +73,8 @@ class ReceivedJets:
 class DrapeStream:
     """An open stream of a garment or an outfit.
 
-    ``about`` is the JSON with which the service answered the latest opening, ``url`` the address of the service, and
-    ``moves`` the number of times that another process took the stream over.
+    ``about`` is the JSON with which the service answered the latest opening ("opened" in docs/reference/wire.md),
+    ``url`` the address of the service, and ``moves`` the number of times that another process took the stream over.
     """
 
     def __init__(

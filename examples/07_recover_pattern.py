@@ -28,7 +28,7 @@ found = recover_pattern(surface, base, body, RoundsOptions(options, fit, meshes_
 
 
 def error_mm(pattern) -> float:
-    """Returns the mean distance [mm] of the corners of ``pattern`` from the true ones."""
+    """Returns the mean distance [mm] of the corners of a sewing ``pattern`` from those of ``true``, the target's."""
     return 1000 * float(np.linalg.norm(control_points(pattern).positions - corners, axis=1).mean())
 
 

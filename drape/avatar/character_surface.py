@@ -30,7 +30,7 @@ def moving_character(payload: bytes, motion: RigMotion, scale: float) -> list[Mo
     vertices (F + 1, V, 3) [m] in the world, in the T-pose and then in the F frames of ``motion``.
 
     ``motion`` is on the skeleton of this file, or of the file that this one was made from. ``scale``: metres per unit
-    of the file. A primitive none of whose triangles has corners apart is left out.
+    of the file. A primitive is left out where each of its triangles has one vertex at all three corners.
     """
     file, garments = GltfFile(payload), list[MovingGarment]()
     place = {node: number for number, node in enumerate(tree_of(file)[0])}

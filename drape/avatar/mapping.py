@@ -26,9 +26,8 @@ SWAPPED = "left and right look swapped: by these joints the feet point backwards
 class JointMapping:
     """The ``rig`` of a character, and how its joints were found.
 
-    ``by`` is "vrm", "names", "shape" (by positions), or "told" by a client. ``confidence`` in [0, 1] says how much the
-    positions are like a person's, if they were what counted; otherwise it is 1. ``notes`` are sentences on what looks
-    wrong.
+    ``by`` is "vrm", "names", "shape" (by positions), or "told" by a client. ``confidence`` in [0, 1]: where joints were
+    found by positions, how much these are like a person's; otherwise 1. ``notes`` are sentences on what looks wrong.
     """
 
     rig: Rig

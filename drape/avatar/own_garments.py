@@ -67,9 +67,12 @@ class OwnGarments:
 
 
 class OwnCloth(NamedTuple):
-    """Clothes of one ``kind`` that become one garment: the parts ``numbers`` of a character, of which the faces
-    ``rows`` (n,) become cloth. Their other faces stay on the skin: ``stays`` has the first face and the length of each
-    run of these."""
+    """Clothes of one ``kind`` that become one garment. ``numbers`` are the indices of their parts in ``Attire.parts``,
+    and ``rows`` (n,) those of the character's faces that become cloth.
+
+    The other faces of these parts stay on the skin: ``stays`` has the first face and the length of each run of them,
+    run after run.
+    """
 
     kind: str
     numbers: tuple[int, ...]

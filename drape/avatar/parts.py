@@ -49,8 +49,8 @@ _JOINED = np.array([[other in _beside(part) for other in PARTS] for part in PART
 
 
 def beside(own: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Returns the mask (n,) bool of the parts ``own`` (n,) that are equal to the parts ``others`` (n,), or join them.
-    Parts are indices of ``PARTS``."""
+    """Returns the mask (n,) bool that says which of the parts ``own`` (n,) are equal to the parts ``others`` (n,), one
+    by one, or join them. Parts are indices of ``PARTS``."""
     return _JOINED[own, others]
 
 

@@ -91,7 +91,8 @@ def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig,
     faces.
 
     All are skinned to the nodes of ``rig`` in the unit of the character's file; the skeleton's node n is ``nodes[n]``.
-    Clients draw the top, and skin under garments, deeper than they are: their nodes say by how much (``deeper_m``).
+    The nodes of the top, and of skin under garments, have ``deeper_m`` [m]: clients draw them so much farther from the
+    viewer, and cloth hides them.
     """
     body, top, attire = wearer.body, left.tucked, wearer.attire
     still = RigClip(*wearer.to_rig(np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3))), 1.0)
@@ -138,8 +139,8 @@ def _onto_joints(wearer: Wearer, skeleton: FileSkeleton) -> scipy.sparse.csr_mat
 
 
 def add_nodes(file: GlbFile, skeleton: FileSkeleton) -> dict[int, int]:
-    """Adds the nodes of ``skeleton`` to ``file``, below the top of its scene. Returns the index of the new node of each
-    of the skeleton's nodes that is written."""
+    """Adds the nodes of ``skeleton`` to ``file``, its ``tops`` at the top of the scene. Returns the index of each new
+    node by the index of the skeleton's node. Nodes that carry no joint are left out."""
     kept, waiting = [], list(skeleton.tops[::-1])
     while waiting:
         kept.append(waiting.pop())

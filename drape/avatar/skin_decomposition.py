@@ -140,7 +140,8 @@ def fit_moves(
     bring ``rest`` (V, 3) with ``weights`` (V, B) nearest to ``frames`` (F, V, 3), one bone after the other, ``rounds``
     times.
 
-    ``steadiness``: the weight, beside one, with which a bone's vertices are held where its motion had them at first.
+    ``steadiness``: a new motion is fitted to ``frames`` with weight 1, and with this weight to where ``moves`` carries
+    the bone's vertices.
     """
     first, moves = moves, moves.copy()
     left = frames - blend_vertices(weights, rest, moves)

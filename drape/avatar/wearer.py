@@ -55,7 +55,8 @@ class Wearer:
     """A character that wears garments.
 
     ``body`` is the body that stands for it, and ``standard`` the one that this is made of. ``over`` is ``body`` with
-    the character's own trousers on, None where it is not made yet.
+    the character's own trousers on, None where it is not made yet. ``digest`` is the sha256 of its file, of
+    ``standard``, of the version of the fit, and of the joints and kinds that a client has set.
 
     ``rig`` has its nodes, called as VRM calls them in a VRM; ``nodes`` are their own names. ``found_by``,
     ``confidence`` and ``notes`` are those of ``JointMapping``. ``vrm`` is the version "0" or "1" of a VRM, else "".
@@ -374,7 +375,8 @@ def wearer_name(text: str) -> str:
 
 @refusing
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the command line. Returns its exit status: 0 if the character can wear garments, 2 if it is refused."""
+    """Reads the character that the command line names, prints its joints, parts and fit, and with ``--out`` stores it.
+    Returns the exit status: 0 if the character can wear garments, 2 if it is refused."""
     parser = argparse.ArgumentParser(prog="python -m drape.avatar.wearer", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("file", type=Path, help="GLB or VRM")
     parser.add_argument("--out", type=Path, help="folder of its file; without it nothing is stored")

@@ -14,9 +14,12 @@ class BodyFeed(Recorded):
     """The numbers that pose a body, as the engine reads them.
 
     ``local`` (24, 4) are rotations from the parent, quaternions wxyz, ``rest`` [m] (24, 3) the joints at rest, and
-    ``betas`` the shape. ``motion`` is added to the code of the pose. The skin is P parts of 48 samples: ``skin_rows``
-    (P, n, 4, 144) are the coefficients of points and of two tangents on the n bones ``skin_bones`` (P, n), of which the
-    first ``skin_counts`` (P,) count. ``skin_rows`` is empty where the posed skin is given.
+    ``betas`` the shape coefficients. ``motion`` (C,) is the network's code of the body's motion, which is added to its
+    code (C,) of pose and shape; it is empty where the network is not dynamic.
+
+    ``skin_rows`` (P, n, 4, 144) and ``skin_bones`` (P, n) are the skin, as ``rows`` and ``bones`` of ``SkinOnBones``.
+    Of the n bones of a part the first ``skin_counts`` (P,) move it. ``skin_rows`` is empty where the posed skin is
+    given.
     """
 
     local: np.ndarray

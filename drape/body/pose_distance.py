@@ -51,7 +51,8 @@ class PoseSupport:
 
     @cached_property
     def columns(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        """Of each part the kept poses, one a column, and the squares (n,) of these columns' lengths, float32."""
+        """For legs, trunk and tilt in turn: the kept poses, one a column (48, 78 or 3, n), and the squares (n,) of
+        these columns' lengths, float32."""
         rows = [getattr(self, name).astype(np.float32) / np.float32(STEPS) for name in PARTS]
         return tuple((np.ascontiguousarray(one.T), (one**2).sum(axis=1)) for one in rows)
 

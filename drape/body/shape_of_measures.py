@@ -68,7 +68,8 @@ def measure_ranges(body: BodyModel, limit: float = LIMIT) -> dict[str, tuple[flo
     """Returns the least and the largest value [m, kg] of each measure, by its name, of shapes of ``body`` within
     ``limit`` standard deviations.
 
-    They lie along the slope at the mean shape, since measures are nearly linear.
+    These are its values at the two shapes ``limit`` away from the mean shape along the measure's slope there, since
+    measures are nearly linear.
     """
     ranges = {}
     slopes = measure_slopes(body, np.zeros(body.shape_count))

@@ -70,7 +70,7 @@ def write_scene(path: Path, layers: Sequence[MovingGarment], fps: float) -> list
 def write_clip(
     path: Path, surfaces: Sequence[Surface], vertices: np.ndarray, fps: float, root_motion: RootMotion | None = None
 ) -> list[Path]:
-    """Writes the ``surfaces`` at ``vertices`` [m] (F, V, 3), those of one after the other, to ``path``, whose suffix is
+    """Writes the ``surfaces`` at ``vertices`` [m] (F, V, 3), one surface after the other, to ``path``, whose suffix is
     one of ``SUFFIXES``. Returns the paths of what it has written beside it: the mesh of a point cache, the other files
     of a texture.
 

@@ -213,8 +213,9 @@ def _steps(
 
 
 def normal_steps(normals: np.ndarray, first: np.ndarray | None) -> np.ndarray:
-    """Returns unit ``normals`` (V, 3) as whole numbers, steps of 1/127, or with ``first`` (V, 3) the steps from these
-    unit normals to them. The numbers are floats in [-127, 127]."""
+    """Returns unit ``normals`` (V, 3) in steps of 1/127: floats that are whole numbers in [-127, 127]. With ``first``
+    (V, 3), other unit normals, these are the differences from ``first``, as morph targets have them; a normal too far
+    from ``first`` is shortened before."""
     return np.rint((normals if first is None else _way_of_normals(first, normals)) * NORMAL_STEPS)
 
 

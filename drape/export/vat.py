@@ -45,7 +45,8 @@ def _openexr() -> Any:
 
 
 def vat_files(layers: Sequence[MovingGarment], fps: float, name: str) -> dict[str, bytes]:
-    """Returns the bytes of the three files of ``layers`` as one mesh, by their names, which begin with ``name``.
+    """Returns a vertex animation texture of ``layers`` as one mesh: the bytes of ``name``.glb, ``name``_vat.exr and
+    ``name``-remap_info.json (this module says what they hold), by these names.
 
     Raises ``Unavailable`` without OpenEXR, and ``InputError`` for more frames than a texture has rows for.
     """

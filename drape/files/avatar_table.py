@@ -19,8 +19,12 @@ SHIPPED_FOLDER = ASSETS / "bodies"
 
 
 def avatar_table(folder: Path) -> dict[str, Any]:
-    """Returns the ``avatars.json`` of ``folder``: avatars by the beginnings of the names of garment files, empty where
-    there is no such file. An avatar is an object or a string. Raises ``BodyError`` for other content."""
+    """Returns ``avatars.json`` of ``folder``: by the beginnings of the names of garment files, the avatars that they
+    were modelled on. Empty where there is no such file.
+
+    An avatar is an object (a phenotype or SMPL parameters), "standard", or the name of a mesh file beside the table.
+    Raises ``BodyError`` for other content.
+    """
     path = folder / TABLE_NAME
     if not path.is_file():
         return {}
@@ -39,8 +43,8 @@ def avatar_table(folder: Path) -> dict[str, Any]:
 
 
 def entry_for(name: str, folders: list[Path]) -> tuple[str, Any, Path] | None:
-    """Returns the avatar of the garment file ``name``: the key and the entry of a table, and the table's folder; None
-    where no table of ``folders`` has one.
+    """Returns the key and the avatar that a table (``avatar_table``) has for the garment file ``name``, and the table's
+    folder; None where no table of ``folders`` has one.
 
     A key fits where the name begins with it. The first folder that has such a key decides, by its longest one.
     """

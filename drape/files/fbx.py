@@ -44,10 +44,12 @@ class FbxMesh:
 
 @dataclass(frozen=True, eq=False)
 class FbxScene:
-    """The visible contents of an FBX file: ``meshes``, and ``materials`` as objects of ``fbx_process``.
+    """The visible contents of an FBX file.
 
-    ``pictures`` have the names by which the file calls each one, and its bytes, which may be empty. ``unit_m`` is the
-    file's unit [m].
+    ``materials`` have "name", "base_color" (red, green, blue) and the ``NUMBERS`` of ``fbx_process``, None where the
+    file has none. Their "pictures" have, by names of the ``MAPS`` of ``fbx_process``, the index in ``pictures`` of what
+    a map shows. ``pictures`` have the names by which the file calls each one, and its bytes, which may be empty.
+    ``unit_m`` is the file's unit [m].
     """
 
     meshes: list[FbxMesh]

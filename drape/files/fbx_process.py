@@ -46,8 +46,9 @@ def _all(held: Any) -> list[Any]:
 
 
 def main() -> None:
-    """Writes the npz to standard output and ends the process with status 0. Where ufbx cannot read the file it writes
-    why, and ends with status 3."""
+    """Reads the FBX file on standard input, writes its contents to standard output as the npz that ``drape.files.fbx``
+    reads, and ends the process with status 0. Where it cannot read the file it writes the reason instead, and ends with
+    status 3."""
     gc.disable()
     resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S + 1))
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)

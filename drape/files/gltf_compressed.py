@@ -50,8 +50,9 @@ def draco_parts(payload: bytes, primitive: Primitive, label: str) -> dict[int, n
 
 
 def meshopt_view(payload: bytes, entry: dict[str, Any], label: str) -> bytes:
-    """Returns the unpacked bytes of a buffer view. ``entry`` is that of the extension, which says how ``payload`` is
-    packed. Raises ``MeshError`` where it cannot be unpacked, or meshoptimizer is not installed."""
+    """Returns the unpacked bytes of a buffer view that is packed as ``payload``. ``entry`` is the view's object of the
+    extension EXT_meshopt_compression. Raises ``MeshError`` where it cannot be unpacked, or meshoptimizer is not
+    installed."""
     count, stride = (one if type(one := entry.get(key)) is int else 0 for key in ("count", "byteStride"))
     mode, filter_name = entry.get("mode"), entry.get("filter", "NONE")
     wide = mode == "ATTRIBUTES"

@@ -42,8 +42,8 @@ def pack(arrays: Mapping[str, np.ndarray], *, quick: bool = False) -> bytes:
 def read_packed(path: Path, *, part: str = "") -> tuple[dict[str, Any], dict[str, Any]]:
     """Returns the JSON object in the array ``header`` of the npz at ``path``, and the other arrays by name.
 
-    With ``part`` header and arrays are those called PART.NAME, by NAME; without it those whose names have no dot.
-    Raises one of ``UNREADABLE`` where the file is missing or damaged.
+    Without ``part`` only arrays are read whose names have no dot. With it only those, header included, that are called
+    PART.NAME; the result has them by NAME. Raises one of ``UNREADABLE`` where the file is missing or damaged.
     """
     with np.load(path, allow_pickle=False) as stored:
         keys = {key.rpartition(".")[2]: key for key in stored.files if key.rpartition(".")[0] == part}

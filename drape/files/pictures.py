@@ -82,9 +82,9 @@ def remake_pictures(looks: Looks) -> tuple[Looks, tuple[str, ...]]:
 
 
 def metallic_roughness(metallic: Channel | None, roughness: Channel | None, *, label: str) -> bytes:
-    """Returns the PNG file that glTF takes: roughness in green and metallic in blue, each from a channel (0 to 3) of
-    the bytes of a picture; white where there is none. At least one is given. Raises ``MeshError`` as ``remake_picture``
-    does."""
+    """Returns the PNG file that glTF takes: roughness in green and metallic in blue. Each is given as the bytes of a
+    picture and the number (0 to 3) of its channel there; None, for one of them at most, becomes white. Raises
+    ``MeshError`` as ``remake_picture`` does."""
     from PIL import Image
 
     planes = [None if one is None else _channel(*one, label=label) for one in (roughness, metallic)]

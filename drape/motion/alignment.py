@@ -52,7 +52,8 @@ def rest_alignment(
 
     The pelvis follows the line of the hips and ``up`` (3,), which is the trunk's line if it is not given. Hips on that
     line are refused (``MotionError``, which names ``label``). The chest turns about its own bone until its left lies
-    along ``across`` (3,), the line from right to left arm, and so does a leg whose foot points elsewhere than ahead.
+    along ``across`` (3,), the line from right to left arm. A leg whose foot does not point ahead turns about its own
+    bone with the foot.
     """
     alignment = np.empty((JOINT_COUNT, 3, 3))
     alignment[0] = _pelvis_frame(rest, sources, up, label)
@@ -83,8 +84,9 @@ def rest_alignment(
 
 
 def world_joint_rotations(rotations: np.ndarray, sources: Mapping[str, int], alignment: np.ndarray) -> np.ndarray:
-    """Returns the world rotations (F, 24, 3, 3) of the SMPL joints from the T-pose on. ``rotations`` (F, J, 3, 3) are
-    those of the skeleton's J joints from its rest pose on, and ``alignment`` (24, 3, 3) is that of ``rest_alignment``.
+    """Returns the world rotations (F, 24, 3, 3) that turn the SMPL joints from the T-pose to each frame. ``rotations``
+    (F, J, 3, 3) are those that turn the skeleton's J joints from its rest pose to each frame. ``sources`` and
+    ``alignment`` (24, 3, 3) are those of ``rest_alignment``.
 
     A joint that is not in ``sources`` goes with its parent.
     """
@@ -113,7 +115,8 @@ def rest_bone(
 def least_turn(start: np.ndarray, end: np.ndarray, frame: np.ndarray) -> np.ndarray:
     """Returns the smallest rotations (..., 3, 3) that turn unit vectors ``start`` (..., 3) to ``end`` (..., 3).
 
-    A half turn goes about a side axis of ``frame`` (..., 3, 3), since any axis would do.
+    A half turn may have any axis square to ``start``. It gets the one nearest to the first column of ``frame`` (..., 3,
+    3), or to the third where the first is nearly parallel to ``start``.
     """
     axis = cross(start, end)
     sine = np.linalg.norm(axis, axis=-1, keepdims=True)

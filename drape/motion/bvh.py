@@ -190,8 +190,8 @@ Line = tuple[int, str]
 
 
 def read_lines(path: Path) -> list[Line]:
-    """Returns the lines of a text file that hold words, each as its number, from 1, and its words. Comments after ``#``
-    are dropped. Raises ``MotionError`` for a file that cannot be read or is too large."""
+    """Returns the lines of a text file that are not empty, each as its number, from 1, and its text. Comments after
+    ``#`` are dropped. Raises ``MotionError`` for a file that cannot be read or is too large."""
     path = Path(path)
     try:
         size = path.stat().st_size

@@ -144,8 +144,8 @@ def flagged_steps(clip: MotionClip) -> np.ndarray:
 
 
 def clean_windows(clip: MotionClip, length: int, *, stride: int = 1) -> list[int]:
-    """Returns the first frames of the windows of ``length`` frames that hold no flagged step. Of every ``stride``
-    frames one is tried."""
+    """Returns the indices of the first frames of the windows of ``length`` frames that hold no flagged step
+    (``flagged_steps``). A window is tried from every ``stride``-th frame on."""
     return clean_starts(flagged_steps(clip), length, stride=stride).tolist()
 
 

@@ -33,9 +33,9 @@ class HardPoses:
 def hard_poses(clips: Sequence[MotionClip], body: BodyModel, count: int) -> HardPoses:
     """Returns ``count`` poses of ``clips``: each the farthest from the T-pose and from those before it.
 
-    Distance is between the rotation matrices of the body's joints. The root keeps its rotation. Frames that lean over
-    by more than 45 degrees, lie in a flagged window, or where the body cuts into itself are passed over. Raises
-    ``InputError`` where too few are left.
+    Distance is between the rotation matrices of the body's joints. The root keeps its rotation. Frames are passed over
+    that lean over by more than 45 degrees, that are not in the middle of one of the ``clean_windows``, or in which the
+    body cuts into itself (``body_overlap_pct``). Raises ``InputError`` where too few are left.
     """
     pool, labels = _pool(clips)
     if len(pool) < count:

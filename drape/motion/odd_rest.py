@@ -40,8 +40,9 @@ _SPINE = ("spine1", "spine2", "spine3")
 def trunk_ends(
     rest: np.ndarray, parents: Sequence[int], sources: Mapping[str, int]
 ) -> tuple[dict[str, int], np.ndarray | None]:
-    """Returns the index of the file's joint to which the bone of each spine joint points, by SMPL's names of these, and
-    the up direction (3,) of the pelvis. ``rest`` (J, 3) are the joints' positions at rest.
+    """Returns the index of the file's joint that the bone of each spine joint points to, by SMPL's names of spine
+    joints, and the up direction (3,) of the pelvis, a unit vector or None. ``rest`` (J, 3) are the joints' positions at
+    rest.
 
     A bent trunk is measured from joint to joint of the file, and up is along its lowest bone. A straight one is
     measured from joint to joint of SMPL's: up is None, and only spine joints on its topmost node have an entry.
@@ -75,7 +76,8 @@ def trunk_ends(
 
 
 def arms_across(rest: np.ndarray, sources: Mapping[str, int]) -> np.ndarray | None:
-    """Returns the line (3,) from the right arm to the left at the positions ``rest`` (J, 3); None if there is none.
+    """Returns the vector (3,) from the right arm to the left, where joints lie at the positions ``rest`` (J, 3); None
+    if there is none.
 
     It joins the shoulders. If the collars do not point apart, it joins their own positions, which turn with the chest.
     """

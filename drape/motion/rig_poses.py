@@ -56,9 +56,9 @@ class Rig:
 
     ``parents`` (J,) are indices, -1 for a root. ``rest_rotations`` (J, 4), unit quaternions wxyz, and
     ``rest_translations`` (J, 3), in any unit of length, are relative to the parent. ``names`` are those that
-    ``match_joints`` reads; other nodes keep their rest pose. ``nodes`` has nodes of SMPL joints whatever they are
-    called; where it has all that a person needs no name is read. ``t_pose_joints`` [m] (24, 3) are the rest joints of
-    the body that the SMPL poses are for.
+    ``match_joints`` reads; other nodes keep their rest pose. ``nodes`` has indices of nodes by the SMPL names of their
+    joints, which go before ``names``; where it has all joints that a person needs, no name is read. ``t_pose_joints``
+    [m] (24, 3) are the rest joints of the body that the SMPL poses are for.
 
     The rig's world is the poses' world: y up, whatever way the rig faces. Raises ``MotionError`` for arrays that do not
     fit, and for names of no person.

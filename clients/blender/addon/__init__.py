@@ -23,8 +23,8 @@ started: list[LocalService] = []  # the service of this Blender
 
 
 def name_property(name: str, which: str, description: str = "") -> Any:
-    """Returns a text property of the panel that suggests the ids of one of ``LISTS``, ``which``; a user may type
-    others."""
+    """Returns a text property of the panel called ``name``. It suggests the ids in the list ``which``, one of
+    ``LISTS``; a user may type others."""
     listed = {"search": lambda self, context, text: known[which], "search_options": {"SUGGESTION"}}
     return StringProperty(name=name, description=description, **listed)
 
@@ -66,8 +66,8 @@ def service_of(context: Any) -> Service:
 
 
 class Stepped:
-    """An operator whose work is a generator, ``steps(context)``. A script runs it to its end; a button runs it beside
-    Blender, and Esc ends it."""
+    """An operator of Blender. Its work is the generator ``steps(context)`` of its subclass, which yields each ``Step``.
+    A script runs it to its end; a button runs it while Blender goes on, and Esc ends it."""
 
     @classmethod
     def poll(cls, context: Any) -> bool:

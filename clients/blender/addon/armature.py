@@ -57,8 +57,8 @@ class SceneCharacter:
         self._undo = [(self._upright @ bones[name].matrix_local.to_3x3()).inverted() for name in names]
 
     def stands(self, depsgraph: Any, pelvis: str) -> tuple[list[Any], Any]:
-        """Returns for each bone the quaternion (mathutils, wxyz) by which it has turned since its rest, relative to its
-        parent, and the place of the head of the bone ``pelvis`` in the scene. Both are y up."""
+        """Returns two things, both y up: for each of ``bones`` the quaternion (mathutils, wxyz) by which it has turned
+        since its rest, relative to its parent; and the position in the scene of the head of the bone ``pelvis``."""
         armature = self.armature.evaluated_get(depsgraph)
         world, posed = armature.matrix_world, armature.pose.bones
         moved = zip((posed[name].matrix.to_3x3() for name in self.bones), self._undo, strict=True)
@@ -68,8 +68,9 @@ class SceneCharacter:
         return local, Y_UP @ (world @ posed[pelvis].head)
 
     def file(self, context: Any) -> bytes:
-        """Returns the bytes of its GLB at rest, in units of the scene, with all visible meshes that its bones move;
-        refuses (``Refusal``) none. ``bones`` then has only bones that move a vertex, and their parents."""
+        """Returns the bytes of a GLB of the character at rest, in units of the scene, with all visible meshes that its
+        bones move. Leaves in ``bones`` only those that move a vertex, and their parents. Refuses (``Refusal``) a
+        character without such a mesh."""
         data = self.armature.data
         before, data.pose_position = data.pose_position, "REST"
         try:
@@ -125,8 +126,8 @@ class SceneCharacter:
 
 
 def upright(world: Any) -> Any:
-    """Returns the rotation (3x3 Matrix) by right angles that turns to z the axis of an object which is nearest to the
-    world's z; ``world`` is the object's rotation and scale."""
+    """Returns a rotation (3x3 Matrix) by right angles. It turns to z that axis of an object, or its opposite, which
+    points most nearly along the world's z. ``world`` is the object's rotation and scale."""
     axis = max(range(3), key=lambda column: abs(world[2][column]))
     sign = 1 if world[2][axis] > 0 else -1
     turn = Matrix.Diagonal((0, 0, 0))

@@ -29,9 +29,9 @@ Steps = Generator[Step, None, Any]
 
 
 def bake(context: Any, service: Service, settings: Any) -> Steps:
-    """Yields the steps of a bake of the scene's frames by the panel's ``settings``; raises ``Refusal``.
+    """Bakes the scene's frames by the panel's ``settings``, and yields a ``Step`` now and then. Raises ``Refusal``.
 
-    The garment's object is added at the end. The scene's current frame is put back, also where a bake is left.
+    Adds the garment's object at the end. Puts the scene's current frame back, also where the caller stops early.
     """
     scene = context.scene
     frames, current = range(scene.frame_start, scene.frame_end + 1), scene.frame_current

@@ -19,10 +19,11 @@ _NUMBERS = {"<f4": 5126, "<u2": 5123, "<u4": 5125}  # glTF's floats and unsigned
 def character_glb(
     names: Sequence[str], parents: Sequence[int], places: np.ndarray, surface: Sequence[np.ndarray]
 ) -> bytes:
-    """Returns the bytes of a GLB of N bones and a skinned surface, y up, in the unit of its places.
+    """Returns the bytes of a GLB of N bones and a skinned surface, y up, in the unit of ``places``.
 
     ``names``: the bones' names. ``places`` (N, 3): their heads at rest. ``parents``: their parents' indices, -1 for
-    none. ``surface``: vertices (V, 3), faces (F, 3), and bones (V, 4) and weights (V, 4) of each vertex.
+    none. ``surface``: vertices (V, 3), faces (F, 3), and for each vertex the indices (V, 4) of its bones and their
+    weights (V, 4).
     """
     vertices, faces, joints, weights = surface
     nodes: list[dict] = [{"name": name} for name in names]

@@ -22,8 +22,8 @@ _PC2_HEAD = struct.Struct("<12siiffi")
 
 
 def check_form(form: str) -> None:
-    """Refuses (``Refusal``) the form "PC2", a point cache, where the .blend file was never saved: it lies beside
-    that."""
+    """Refuses (``Refusal``) the form "PC2" where the .blend file was never saved, since a point cache lies beside that
+    file."""
     if form == "PC2" and not bpy.data.filepath:
         cure = "Save the file first, or bake to shape keys."
         raise Refusal("point cache", expected="a file beside which it lies", got="one that was never saved", cure=cure)
@@ -31,7 +31,8 @@ def check_form(form: str) -> None:
 
 def baked(context: Any, about: dict[str, Any], frames: np.ndarray, *, first: int, form: str, wearer: str) -> Any:
     """Returns the scene's object of a garment that moves through ``frames`` (F, V, 3), in the scene's axes and units,
-    from the frame ``first`` on. ``about`` is the garment's mesh as the service describes it, ``form`` one of ``FORMS``.
+    from the frame ``first`` on. ``about`` is the garment's mesh as the service describes it (``MeshDocument``),
+    ``form`` one of ``FORMS``.
 
     The object of an earlier bake for the same ``wearer`` is used again, with its materials and modifiers.
     """

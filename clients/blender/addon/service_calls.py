@@ -118,8 +118,8 @@ def draped(
     """Returns the vertices [m] (F, V, 3) float32 of a garment over a clip, y up.
 
     ``about`` are the JSON fields of the request. ``turns`` are poses (F, 24, 3) [rad], or local quaternions (F, N, 4),
-    x, y, z, w, of an avatar's nodes; ``places`` (F, 3) [m] the translations. A clip that is longer than a request may
-    be goes in pieces. Raises ``Refusal``.
+    x, y, z, w, of an avatar's nodes. ``places`` (F, 3) [m] are the root translations of poses, or the positions of the
+    node of the avatar's pelvis. A clip that is longer than a request may be goes in pieces. Raises ``Refusal``.
     """
     health = service.json("health")
     frame_bytes = 8 * (turns[0].size + 3)
