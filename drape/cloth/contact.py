@@ -45,9 +45,10 @@ class ContactPlanes:
 
 
 class BodyContact:
-    """The surface of a body that cloth collides with: its triangles, and the vertices whose tangent planes count.
+    """The surface of a body that cloth collides with: its triangles, and those of its vertices that take part, whose
+    tangent planes push cloth.
 
-    ``vertices`` (C,) are the indices of these; ``None`` takes all.
+    ``vertices`` (C,) are the indices of the vertices that take part; ``None``: all do.
     """
 
     def __init__(self, faces: np.ndarray, vertex_count: int, *, vertices: np.ndarray | None = None) -> None:
@@ -58,7 +59,7 @@ class BodyContact:
 
     @classmethod
     def of_body(cls, body: BodyModel) -> BodyContact:
-        """Returns the surface of ``body`` with the vertices of ``collider_vertices``."""
+        """Returns the whole surface of ``body``, of which only the vertices of ``collider_vertices`` take part."""
         return cls(body.faces, body.vertex_count, vertices=collider_vertices(body))
 
     @cached_property
@@ -72,7 +73,7 @@ class BodyContact:
         return meshes.vertex_normals(body_vertices, self.faces, table=self._table)
 
     def planes(self, points: np.ndarray, body_vertices: np.ndarray, normals: np.ndarray | None = None) -> ContactPlanes:
-        """Returns for ``points`` [m] (B, V, 3) the tangent planes at the nearest vertices of the posed
+        """Returns for ``points`` [m] (B, V, 3) the tangent planes at the nearest vertices that take part of the posed
         ``body_vertices`` [m] (B, Vb, 3). ``normals`` (B, Vb, 3) are computed if left out."""
         if normals is None:
             normals = np.asarray(self.normals(body_vertices))

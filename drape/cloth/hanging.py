@@ -40,8 +40,11 @@ class HoldingSkin:
 
 
 class HangingCloth(Relaxation):
-    """A cloth of ``faces`` (F, 3) whose triangles are at rest with the edge lengths that they have at ``vertices`` [m]
-    (V, 3)."""
+    """A cloth that hangs over a body: its weight pulls it down, its triangles keep their lengths, it keeps
+    ``GAP_M`` off the skin, and what is nearer than ``NEAR_M`` to the skin is held there by weak springs.
+
+    ``faces`` (F, 3) have at rest the edge lengths that they have at ``vertices`` [m] (V, 3).
+    """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         first, second = meshes.corner_edges(vertices, faces)
@@ -56,8 +59,8 @@ class HangingCloth(Relaxation):
         self._sag = GRAVITY_M_S2 * softness
 
     def hang(self, x: np.ndarray, skin: HoldingSkin, steps: int) -> np.ndarray:
-        """Returns the vertices [m] (V, 3) of the cloth after ``steps`` steps over ``skin`` from ``x`` [m] (V, 3). No
-        vertex is inside the skin."""
+        """Returns the vertices [m] (V, 3) of the cloth after it has sunk for ``steps`` steps from ``x`` [m] (V, 3) over
+        ``skin``. At last vertices that lie inside the skin are put onto it."""
         for number in range(steps):
             distance, out, weight = skin.contact(x)
             if number % RENEWED == 0:

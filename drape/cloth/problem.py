@@ -100,8 +100,8 @@ class Problem(Recorded):
 
     ``weight_n`` (V,) [N] is each vertex's weight, ``contact_n_per_m`` (V,) [N/m] its contact stiffness. ``order`` (V,)
     has the vertices colour by colour; ``colour_start`` says where each colour begins. No two vertices of one colour
-    share an element. ``hinges`` are all hinges; ``quadratic`` bends those that are flat at rest, and ``creases`` are
-    the others.
+    share a triangle or hinge. ``hinges`` are all hinges; ``quadratic`` bends those that are flat at rest, and
+    ``creases`` are the others.
     """
 
     constants: KernelConstants

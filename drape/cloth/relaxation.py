@@ -29,8 +29,8 @@ COLLAPSED = 1e-12
 
 
 class Relaxation:
-    """The iterations for a cloth of V vertices whose ``faces`` (F, 3) have the flat corners ``rest`` [m] (F, 3, 2) at
-    rest.
+    """A cloth of V vertices that ``step`` brings nearer to its lengths at rest, off the body, iteration by iteration.
+    Its ``faces`` (F, 3) have the flat corners ``rest`` [m] (F, 3, 2) at rest.
 
     ``distance`` is a function of points that gives their signed distances from the body and its outward normals, and
     cloth keeps ``gap_m`` [m], a number or (V,), from the body. ``threads`` (S, 2) are pairs of vertices that can be

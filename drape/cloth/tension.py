@@ -47,8 +47,9 @@ def cloth_tension(
 def face_pressure(vertices: np.ndarray, cloth: ClothMesh, stiffness: membrane.Stiffness) -> np.ndarray:
     """Returns the pressure [N/m^2] (F,) of each triangle against its normal, negative where the cloth is hollow.
 
-    With the columns p, t of F, the second Piola-Kirchhoff tension S and the slopes of the normal dn along both axes, p
-    J = S_pp p.dn_p + S_tt t.dn_t + S_pt (p.dn_t + t.dn_p), J the stretch of the area.
+    It is (S_pp p.dn_p + S_tt t.dn_t + S_pt (p.dn_t + t.dn_p)) / J: p and t are the columns of the deformation gradient
+    (warp, weft), J is the stretch of the area, S the second Piola-Kirchhoff stress after ``membrane.tension``, and dn
+    are the slopes of the cloth's normal along warp and weft.
     """
     p, t = _columns(vertices, cloth)
     along_p, along_t = _columns(meshes.vertex_normals(vertices, cloth.faces), cloth)

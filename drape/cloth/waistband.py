@@ -40,10 +40,11 @@ def waistband(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> Waist
 
 
 def band_energy(way: Array, length_m: Array) -> Array:
-    """Returns the energy [J] (F,) of a waistband whose n vertices are displaced by ``way`` [m] (F, n, 3) from the
-    places that the body gives them; ``length_m`` [m] (n,) is the band at each.
+    """Returns the energy [J] (F,) of a waistband in F frames. ``way`` [m] (F, n, 3) is how far each of its n vertices
+    is from where the body would take it; ``length_m`` [m] (n,) is the length of band at each.
 
-    ``K / 2 sum l max(0, |d| - slack)^2``: free within the slack, a spring past it, along the skin and off it alike.
+    It is ``K / 2 sum l max(0, |d| - slack)^2`` with ``STIFFNESS_N_M2`` and ``SLACK_M``: free within the slack, a spring
+    past it, along the skin and off it alike.
     """
     xp = namespace(way)
     # A bound and not a plain root, whose gradient at zero is infinite.

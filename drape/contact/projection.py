@@ -77,8 +77,8 @@ class Pushed:
     """F drapes after the push-out: pushed ``vertices`` [m] (F, V, 3), and the push as jets of K patches can show it.
 
     ``coefficients`` [m] (F, K, 3, 10): the displacement of a patch as a cubic of its parameters, in the axes of the
-    vertices. Jets have no step 3; step 2 is repeated with what is still missing instead. ``left_m`` [m] (F,): the
-    largest distance between what a vertex should move and what ``coefficients`` move it.
+    vertices. It is fitted several times to what is still missing, since jets cannot move single vertices. ``left_m``
+    [m] (F,): the largest distance between where a vertex should go and where ``coefficients`` move it.
     """
 
     vertices: Array
@@ -93,8 +93,8 @@ def push_out(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | 
 
 
 def push_in_parts(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | float = CLEARANCE_M) -> Pushed:
-    """Returns ``vertices`` [m] (F, V, 3) pushed as by ``push_out``, and the push as jets can show it. Arguments are
-    those of ``push_out``. A graph that is cut to the vertices leaves the jets out."""
+    """Returns what ``push_out`` does, and the push as jets can show it. Arguments are those of ``push_out``. An
+    exported graph whose only output are the vertices does not compute the jets."""
     xp = namespace(vertices)
     start = columns(xp.matrix_transpose(vertices), _flat(feed.block_vertex))  # (F, 3, N)
     means, has_other = _means(start, skin, feed)
@@ -212,8 +212,9 @@ def _other_parts(start: Array, skin: Array, feed: PushFeed) -> tuple[Array, Arra
 
 
 def samples_in(top: Array, skin: Array, other: Array, groups: int) -> tuple[Array, Array]:
-    """Returns the samples of the regions that each of ``groups`` has chosen, ``top`` (F, G, 2): their rows (F, G, 24,
-    8) of ``skin`` (F, R, 12, 8), and their numbers (F, G, 24) in ``other``, which has one for each group and sample."""
+    """Returns the samples of the two regions ``top`` (F, G, 2) that each of G ``groups`` has chosen: their rows (F, G,
+    24, 8) of ``skin`` (F, R, 12, 8), and their numbers (F, G, 24) in ``other``, which has a number for each of the 12 R
+    samples of each group, group by group."""
     xp = namespace(skin)
     frames, regions, count = skin.shape[0], count_of(skin[0, :, 0, 0], top.dtype), REGION_COUNT * REGION_SIZE
     frame = regions * xp.arange(frames, dtype=top.dtype, device=device(top))[:, None, None]

@@ -138,11 +138,11 @@ def body_proximity(points: Array, near: Planes) -> tuple[Array, Array]:
 
 def held_share(before: Array, after: Array, near: Planes) -> Array:
     """Returns the share (F, K), in [0, 1], of a correction that each patch may take. The correction moves the patch's
-    points from ``before`` to ``after`` [m] (F, K, n, 3), which ``near`` are the tangent planes of.
+    points from ``before`` to ``after``, both [m] (F, K, n, 3); ``near`` are the tangent planes at the points.
 
     The share is 1 where no point comes deeper than ``HELD_M`` below a plane, and where the correction brings it out.
     Otherwise the point with the least room decides. With ``deeper`` the depth by which the correction lowers a point,
-    times the share to which there is a plane, the share is
+    times the share to which there is a plane, held = ``HELD_M`` and soft = ``SOFT_M``, the share is
 
         min (room + soft) / (max(deeper, room) + soft),   room = max(distance + held, 0).
     """

@@ -30,8 +30,8 @@ Keep = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """S samples of a mesh of V vertices. ``CLUSTER_SIZE`` in a row are a cluster, ``REGION_SIZE`` in a row a region;
-    there are whole parts of ``POSED_REGIONS`` regions.
+    """S samples of a mesh of V vertices. ``CLUSTER_SIZE`` in a row are a cluster, ``REGION_SIZE`` in a row a region,
+    and ``POSED_REGIONS`` regions in a row a part. No part is cut short.
 
     ``operator`` sparse (3 S, V): its first S rows times the mesh's vertices are the points, the next S rows give the
     first tangents, the last S rows the second ones; the cross product of the two points outwards. ``point`` [m] and

@@ -53,8 +53,8 @@ def push_apart(x: np.ndarray, corner: np.ndarray, triangles: int, n_per_m: float
 def add_curvature(
     x: np.ndarray, corner: np.ndarray, triangles: int, n_per_m: float, place: np.ndarray, blocks: np.ndarray
 ) -> None:
-    """Adds the positive part of the barrier's Hessian [N/m] to ``blocks`` (N, 3, 3). The corners i and j of pair n have
-    the block ``place[n, i, j]``; the other arguments are those of ``push_apart``."""
+    """Adds the positive part of the barrier's Hessian [N/m] to ``blocks`` (M, 3, 3). The part of the corners i and j of
+    pair n goes to block ``place[n, i, j]``, ``place`` (N, 4, 4). The other arguments are those of ``push_apart``."""
     call("add_curvature", np.float64, x, corner, len(corner), triangles, REACH_M, n_per_m, place, blocks)
 
 

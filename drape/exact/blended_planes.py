@@ -24,12 +24,15 @@ TINY = 1e-12  # keeps the sum of two opposite normals from dividing by zero
 
 
 class BlendedPlanes:
-    """The planes of a body under a number of moving points. The plane of a point gives the blended distance there.
+    """A plane of a posed body for each of a number of moving points, the vertices of a cloth for example. Call it with
+    the points to get the planes.
 
-    A point with no skin within reach takes the plane of what is nearest if it lies behind it. Otherwise it takes a
-    plane that it does not touch: beside hands and feet a plane from decimetres away cuts through free space. A point
-    farther from the body than ``gap_m`` is looked at again only when it may have come nearer. The distance of a point
-    depends on its place and not on its way: a line search needs one energy for one place.
+    The blended distance of a point is the mean of its distances from the tangent planes of the skin near it, in which
+    nearer skin weighs more. The point's plane gives this distance and its gradient there. A point with no skin within
+    reach takes the tangent plane of the nearest skin if it lies behind that. Otherwise it takes a plane that it does
+    not touch: beside hands and feet a plane from decimetres away cuts through free space. A point that touches nothing
+    is looked at again only when it may have come nearer. The distance depends on where a point is and not on its way
+    there: a line search needs one energy for one state.
     """
 
     def __init__(self, point: np.ndarray, normal: np.ndarray, point_count: int, gap_m: float) -> None:
@@ -46,8 +49,9 @@ class BlendedPlanes:
 
     @classmethod
     def of_body(cls, contact: BodyContact, posed: np.ndarray, point_count: int, gap_m: float) -> BlendedPlanes:
-        """Returns the planes of the body with the vertices ``posed`` [m] (Vb, 3) under ``point_count`` points. Only the
-        skin that takes part in ``contact`` counts, and contact begins at ``gap_m`` [m]."""
+        """Returns the planes of the body with the vertices ``posed`` [m] (Vb, 3) for ``point_count`` points, which are
+        given with each call. Only the vertices that take part in ``contact`` count, and the edges between them.
+        ``gap_m`` [m] is the distance from the skin below which a point is in contact."""
         chosen = slice(None) if contact.vertices is None else contact.vertices
         normal = np.asarray(contact.normals(posed))
         middle, across = posed[contact.edges].mean(axis=1), normal[contact.edges].sum(axis=1)

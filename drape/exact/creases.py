@@ -21,7 +21,8 @@ PUSHES = 3  # steps of a point along the normal of the plane above it
 
 
 def without_creases(contact: BodyContact, posed: np.ndarray) -> BodyContact:
-    """Returns ``contact`` without the vertices that lie in creases of the ``posed`` body [m] (Vb, 3)."""
+    """Returns ``contact`` without the vertices that lie in creases of the ``posed`` body [m] (Vb, 3): those that are
+    hidden (``hidden_skin``) once the skin is moved ``ROOM_M`` outwards."""
     hidden = hidden_skin(posed + ROOM_M * np.asarray(contact.normals(posed)), contact.faces)
     taking_part = (
         np.ones(len(posed), bool) if contact.vertices is None else np.isin(np.arange(len(posed)), contact.vertices)
@@ -33,7 +34,8 @@ def hidden_skin(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Returns which vertices of a closed surface ``x`` [m] (V, 3) lie in a part of it that is inside another part, bool
     (V,).
 
-    The curves along which ``faces`` (F, 3) cross cut a surface into pieces; all but the largest of each are hidden.
+    The curves along which ``faces`` (F, 3) cross cut the surface into pieces. Of each connected surface all pieces are
+    hidden but the largest. Corners of faces that cross are not hidden.
     """
     cut = np.zeros(len(x), bool)
     cut[faces[np.unique(crossing_pairs(x, faces))]] = True

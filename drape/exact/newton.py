@@ -80,8 +80,8 @@ class Descent:
     """The descent of one cloth over a ``posed`` body [m] (Vb, 3) from ``start`` [m] (V, 3): ``now`` is its state,
     ``best`` the state of least energy so far.
 
-    The springs of a waistband ``band`` have slack. The springs ``pull`` have none; their energy is part of the
-    state's.
+    A step moves no vertex by more than ``reach_m`` [m], a number or (V, 1). The springs of a waistband ``band`` have
+    slack. The springs ``pull`` have none; their energy is part of the state's.
     """
 
     reach_m: float | np.ndarray = REACH_M

@@ -28,8 +28,8 @@ from drape.graph.inputs import BETA_COUNT, PARTS, AgreementTensors, BodyTensors,
 
 @dataclass(frozen=True)
 class BodyInputs:
-    """F posed bodies as graphs take them: ``arrays``, the inputs by name, float32, and the positions ``root`` [m] (F,
-    3) in the world, float64, that the graphs' output counts from."""
+    """F posed bodies as graphs take them: ``arrays``, float32, the inputs by the names in ``BodyTensors``, and ``root``
+    [m] (F, 3), float64, the position in the world that the graph's output of each frame counts from."""
 
     arrays: dict[str, np.ndarray]
     root: np.ndarray

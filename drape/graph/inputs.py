@@ -61,8 +61,9 @@ class PatchTensors(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class ChartTensors(Tensors):
-    """The charts of V vertices, at most four each: the patch, its weight in the blend (0 where there is no chart), the
-    basis of the height's polynomial at the vertex, and what the vertex's rest place in the patch's frame is."""
+    """The charts of V vertices, at most four each: the ``patch``, its ``weight`` in the blend (0 where there is no
+    chart), the ``basis``, monomials of the height's polynomial at the vertex, and ``local``, the vertex at rest in the
+    patch's frame."""
 
     patch: Array = tensor("chart_patch", "vertices", CHARTS_PER_VERTEX, dtype="int64", unit="patch index")
     weight: Array = tensor("chart_weight", "vertices", CHARTS_PER_VERTEX)
@@ -72,8 +73,12 @@ class ChartTensors(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class AgreementTensors(Tensors):
-    """The tables by which overlapping patches are fitted to their blend (``drape.garment.consensus``). ``anchor_row``
-    is the blend weight of a chart times [1, its rest place, its basis]."""
+    """The tables by which overlapping patches are fitted to their blend at the anchors, a few vertices of each patch.
+
+    ``anchor_patch`` are the patches of an anchor's four charts; ``anchor_row`` is the weight of a chart times [1, the
+    anchor at rest in the patch's frame, the monomials of the height]. The other fields are those of
+    ``drape.garment.consensus.Consensus``.
+    """
 
     anchor_patch: Array = tensor("anchor_patch", "anchors", CHARTS_PER_VERTEX, dtype="int64", unit="patch index")
     anchor_row: Array = tensor("anchor_row", "anchors", CHARTS_PER_VERTEX, 4 + jets.HEIGHT_COUNT, unit="1 and m")

@@ -38,9 +38,10 @@ class Sheet:
 class LayerFeed(Tensors):
     """The constants with which a garment is pushed out of the body and of the garments below it, the sheets.
 
-    ``push`` holds for the regions of samples that no cloth hides; these are the P parts of four of ``region`` (P, 4),
-    numbered through those of the body, then of each sheet. ``cloth_member`` (Q, 12, 24) and ``cloth_rows`` (Q, 12, 24,
-    12) are ``ClothSamples.member`` and ``rows`` of all sheets, their vertices numbered through all sheets.
+    Regions of samples are numbered through those of the body, then of each sheet. ``region`` (P, 4) are those that
+    cloth does not hide wholly, in P parts of four; the parts of ``push`` are these. ``cloth_member`` (Q, 12, 24) and
+    ``cloth_rows`` (Q, 12, 24, 12) are ``ClothSamples.member`` and ``rows`` of all sheets, their vertices numbered
+    through all sheets.
     """
 
     push: PushFeed = group(PushFeed, parts="all_parts")
@@ -132,7 +133,7 @@ def push_over_in_parts(
     vertices: Array, under: Array, skin: Array, feed: LayerFeed, clearance_m: Array | float = CLEARANCE_M
 ) -> Pushed:
     """Returns ``vertices`` [m] (F, V, 3) pushed out of the bodies and of the garments below, up to ``clearance_m`` [m]
-    over both, and the push for drapes by jets.
+    over both, and the push as jets can show it.
 
     ``under`` [m] (F, U, 3) are the draped vertices of the garments below, ``skin`` (F, R, 12, 8) the bodies' samples
     (``drape.contact.skin.skin_table``), all in one frame.

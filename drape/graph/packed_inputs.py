@@ -69,8 +69,12 @@ class StoredCharts(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class StoredProximity(Tensors):
-    """Points at which stored patches read body proximity, and the skin near them at rest
-    (``drape.contact.proximity``)."""
+    """Points at which stored patches read body proximity, and the skin near them at rest.
+
+    ``place`` are the strain points at rest in the patch's frame. ``cluster``, ``bias`` and ``region`` are
+    ``own_cluster``, ``own_bias`` and ``region_bias`` of ``PatchSkin``, ``other`` is its ``other``, two numbers to a
+    byte (``proximity.in_halves``).
+    """
 
     place: Array = tensor("felt_place", "patches", 3, STRAIN_POINTS, unit="patch scales")
     cluster: Array = tensor("felt_cluster", "patches", OWN_CLUSTERS, dtype="int32", unit="cluster of samples")

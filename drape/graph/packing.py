@@ -54,8 +54,8 @@ class PackedBody:
     root: np.ndarray
 
     def rows(self, poses: np.ndarray) -> dict[str, np.ndarray]:
-        """Returns the inputs of the packed graph for this body in ``poses`` (F, 24, 3) [rad], by name, float32 with F
-        rows each."""
+        """Returns the inputs of the packed graph for this body in ``poses`` (F, 24, 3) [rad], float32 with F rows each:
+        "joint_quaternion", "joint_rest" and "betas" (``PackedBodies``)."""
         quaternion = np.empty((len(poses), JOINT_COUNT + 1, 4), dtype=np.float32)
         quaternion[:, :JOINT_COUNT] = joint_rotations(poses)[0]
         quaternion[:, JOINT_COUNT] = (1.0, 0.0, 0.0, 0.0)  # the ancestor of joints that have none
@@ -81,7 +81,8 @@ def pack_body(body: BodyModel, betas: np.ndarray | None = None) -> PackedBody:
 class PackedGarment:
     """The constants of one garment with K patches and Q tiles, as the packed graph takes them.
 
-    ``stored``: inputs of the graph by name, with K or Q rows. ``heaviest`` (K,): the bone that moves a patch most;
+    ``stored``: the inputs ``StoredPatches`` (K rows) and ``StoredTiles`` (Q rows) by their names in the graph.
+    ``heaviest`` (K,): the bone that moves a patch most;
     ``tile_patch`` (Q,): the patch of a tile. ``vertex_charts`` (4, blocks, 64): the columns of a vertex's charts among
     those of all tiles. ``anchor_charts`` (4, blocks, 64): the same for anchors, among K x 56 anchor columns;
     ``member_anchor`` (K, 56): the anchors of a patch.

@@ -16,15 +16,15 @@ Cloth = TypeVar("Cloth", FoldConstants, Levels)
 
 
 def for_card(cloth: Cloth) -> Cloth:
-    """Returns ``cloth`` with the levels of its stiffness factor, the order in which a card multiplies panels
-    (``PanelLevels``)."""
+    """Returns a copy of the constants of folds ``cloth`` for a card: its stiffness factor has ``PanelLevels``, which a
+    processor does without."""
     if isinstance(cloth, Levels):
         return replace(cloth, coarse=for_card(cloth.coarse))
     return replace(cloth, factor=cloth.factor._replace(levels=panel_levels(cloth.factor)))
 
 
 def panel_levels(factor: StiffnessFactor) -> PanelLevels:
-    """Returns the levels of the panels of ``factor``, the order in which a card multiplies them."""
+    """Returns the order in which a card multiplies the panels of ``factor``."""
     panels, count = len(factor.size), len(factor.place)
     panel = np.repeat(np.arange(panels), np.diff(factor.column))
     entry = np.concatenate([np.arange(size) + start for size, start in zip(factor.size, factor.start, strict=False)])

@@ -55,14 +55,14 @@ class LaneReport:
 
 
 class Slot:
-    """A piece of ``size`` bytes at an ``address`` in the memory of a lane's card. It goes back to the lane with the
-    object."""
+    """A piece of ``size`` bytes at an ``address`` in the memory of a lane's card. When the object is deleted the lane
+    has the piece again."""
 
     def __init__(self, lane: Lane, size: int) -> None:
         self.lane, self.size, self.address = lane, size, lane.take(size)
 
     def read(self) -> np.ndarray | None:
-        """Returns a copy of its bytes (size,) uint8; None if the card is gone."""
+        """Returns a copy of the bytes of the piece (size,) uint8; None if the card is gone."""
         piece = np.empty(self.size, np.uint8)
         return piece if self.lane.read(self.address, piece) else None
 
@@ -72,8 +72,8 @@ class Slot:
 
 
 class LaneJob(Protocol):
-    """Frames that a lane is asked for, with a length. ``done`` is set once they are drawn or the card has failed;
-    ``since_s`` [s] is when they were asked for, by the monotonic clock."""
+    """Frames that a lane is asked to compute; ``len`` gives their number. ``done`` is set once they are computed or the
+    card has failed; ``since_s`` [s] is when they were asked for, by the monotonic clock."""
 
     done: threading.Event
     since_s: float
@@ -85,8 +85,9 @@ class LaneJob(Protocol):
         ...
 
     def read(self, results: np.ndarray, back: np.ndarray) -> None:
-        """Takes its frames from a launch that has ended: ``results`` (L, TOLD) int64 of all its layers, and ``back``
-        (n,) uint8, all that it copied back."""
+        """Takes the job's frames from a launch that has ended. ``results`` (L, TOLD) int64 has a row for each garment
+        of each frame of the launch (``network.frame.read_results``); ``back`` (n,) uint8 are all bytes that it copied
+        from the card."""
         ...
 
 
@@ -211,8 +212,8 @@ class Lane:
         return self.cached(of, "", lambda: self.place(of, of.record))
 
     def place(self, owner: Any, record: Record | Recorded, *beside: CardRecord) -> CardRecord:
-        """Writes ``record`` to the card and returns where it is, until ``owner`` is gone. It points into the records
-        ``beside``, which are there already."""
+        """Returns ``record`` as written to the card, where it stays until ``owner`` is gone. It may point into the
+        records ``beside``, which are there already."""
         assert self._pool is not None
         placed = CardRecord(self._pool, record, beside=beside)
         weakref.finalize(owner, self._gone.append, placed)

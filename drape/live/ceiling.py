@@ -20,7 +20,7 @@ from drape.live.fold_constants import LaidCloth
 
 def ceiling_over(vertices: np.ndarray, outer: LaidCloth, skin: np.ndarray) -> np.ndarray:
     """Returns the ceiling (S, 5) that the garment ``outer`` with ``vertices`` [m] (V, 3) is over the samples ``skin``
-    (S, 8), rows of ``sample_table`` in the same frame.
+    (S, 8), rows of ``sample_table`` in the same frame. An inner garment is pressed below it.
 
     A row has the ceiling's height [m] over the sample, infinite where nothing covers it, the unit normal n of a plane
     and its offset d [m]: a point x is n . x - d above the ceiling.
@@ -42,8 +42,8 @@ def press(
     """Returns the ``vertices`` [m] (V, 3) of the garment ``inner``, moved below the ``ceiling`` (S, 5) together with
     the cloth around them; ``vertices`` itself where none is too high.
 
-    ``ground`` (S, 8) are the samples that the garment rests on, and ``own`` (P,) is the sample at each place of its
-    sheet.
+    ``ceiling`` has rows as of ``ceiling_over``. ``ground`` (S, 8) are the samples that the garment rests on, rows of
+    ``sample_table``; ``own`` (P,) is the index of the sample under each place of its ``Sheet``.
     """
     dtype = inner.dtype
     x, samples = np.ascontiguousarray(vertices, dtype), np.ascontiguousarray(ground, dtype)

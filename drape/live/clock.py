@@ -56,8 +56,8 @@ class Surroundings(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FrameMemory:
-    """What both folds and swing remember of a frame: its time [s], and where the network had P points of the cloth, [m]
-    (P, 3)."""
+    """What both folds and swing remember of a frame: its time ``time_s`` [s], and ``network`` [m] (P, 3), where the
+    network's drape had P points of the cloth."""
 
     time_s: float
     network: np.ndarray
@@ -67,7 +67,7 @@ class FrameMemory:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def leads_to(self, time_s: float) -> bool:
-        """Whether ``time_s`` [s] is so soon after this frame, and not before it, that a frame then may go on from
+        """Whether a frame at ``time_s`` [s] may go on from this one: it is not before it and at most ``PAUSE_S`` after
         it."""
         return 0.0 <= time_s - self.time_s <= PAUSE_S
 

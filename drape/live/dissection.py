@@ -20,8 +20,9 @@ Graph = tuple[np.ndarray, np.ndarray]
 
 
 class Costs(NamedTuple):
-    """The time that the parts of a run of columns cost, in cycles of a processor, roughly: ``row`` of each sixteen
-    entries of a column, ``column`` of each column, ``members`` of each sixteen rows, and ``run`` of the run itself."""
+    """What a run of columns (``runs``) costs, roughly, in cycles of a processor. It is the sum of ``run`` for the run,
+    ``column`` for each of its columns, ``row`` for each sixteen entries of each column, and ``members`` for each
+    sixteen rows."""
 
     row: float
     column: float
@@ -82,8 +83,8 @@ def _at_the_other(graph: Graph, part: np.ndarray, nodes: np.ndarray) -> np.ndarr
 
 
 def runs(start: np.ndarray, row: np.ndarray, costs: Costs) -> np.ndarray:
-    """Returns the first columns (N + 1,) of the runs that take the least time by ``costs``, and last the number of
-    columns.
+    """Returns the first column of each of N runs, and last the number of columns, (N + 1,). A run is columns side by
+    side that are taken as one dense panel (``whole``). All runs together cost the least by ``costs``.
 
     Column j of the lower triangle has the rows ``row[start[j] : start[j + 1]]`` below its diagonal.
     """

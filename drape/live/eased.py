@@ -23,11 +23,11 @@ from drape.live.untangle import Tangles
 
 @dataclass(frozen=True, eq=False)
 class LiftMemory(FrameMemory):
-    """What a frame of cloth that was eased and lifted, without folds, leaves to the next one. Its P points are the
-    places of the coarse cloth.
+    """What a frame without folds, which was only eased and lifted, leaves to the next one. Its P points are the places
+    of the coarse cloth.
 
-    ``own`` (P,) is the skin sample under each, ``eased`` [m] (P, 3) how far it was eased, in the local frames of the
-    network's surface.
+    ``own`` (P,) is the index of the skin sample under each, and ``eased`` [m] (P, 3) is how far easing moved it from
+    the network's drape, in the local frames of that surface.
     """
 
     own: np.ndarray
@@ -60,9 +60,10 @@ class Levels(Recorded):
 
 
 def lift_call(levels: Levels, memory: LiftMemory | None, time_s: float) -> FoldCall:
-    """Returns the engine's call of easing and lift for a frame at ``time_s`` [s] after ``memory``.
+    """Returns the engine's call that eases and lifts a frame at ``time_s`` [s] after ``memory``.
 
-    Its vertices are at least the effort's clearance off the skin, and out of the scene's colliders.
+    The call moves the frame's vertices to the clearance of its ``FoldEffort`` off the skin, and out of the scene's
+    colliders.
     """
     dtype, places = levels.fine.sheet.own.dtype, len(levels.kept)
     none, past = no_arrays(dtype), no_past(dtype)

@@ -39,9 +39,9 @@ HOLD = 0.4  # the share of contact's stiffness that steps of the whole allow lea
 class WornCloth:
     """A cloth of V vertices on a body, from which the engine's constants are made.
 
-    ``band_n_per_m`` [N/m] (V,) is the stiffness of the spring that holds a vertex within a centimetre of the network's
-    place, the largest at a waistband. ``graph`` are the body's skin samples, ``index`` (V,) the one nearest to each
-    vertex at rest, and ``friction`` is the coefficient between cloth and skin.
+    ``band_n_per_m`` [N/m] (V,) is the stiffness of the spring that holds a vertex within a centimetre of where the
+    network has it, the largest at a waistband. ``graph`` are the body's skin samples, ``index`` (V,) the one nearest to
+    each vertex at rest, and ``friction`` is the coefficient between cloth and skin.
     """
 
     cloth: ClothMesh
@@ -56,8 +56,8 @@ class WornCloth:
         """The stiffness [N/m] (V,) of the springs that hold vertices in steps of the whole cloth, without that of
         contact.
 
-        It is the leash, and ``HOLD`` of contact's stiffness where cloth lies on the skin: friction holds it there, and
-        so does the leash where it is tightened for want of room.
+        It is ``band_n_per_m`` and, for cloth that friction holds on the skin, ``HOLD`` times contact's stiffness. The
+        second part is smaller where ``band_n_per_m`` is less than the full leash.
         """
         contact = contact_n_per_m(self.cloth, self.material)
         leash = np.maximum(LEASH_N_M3 * self.cloth.vertex_area, np.finfo(float).tiny)  # a vertex may have no area
@@ -85,9 +85,9 @@ class FoldConstants(Recorded):
     """The constants of folds of one cloth as the engine reads them: its ``sheet`` of P places, the ``factor`` of its
     stiffness, and the skin's ``graph``.
 
-    ``neighbours`` are the vertices that may be of one sheet with each; ``index`` (P,) is the sample nearest to each
-    place at rest; ``friction`` is that with the skin. ``hem`` (H, 3) are the places of border vertices, each between
-    its neighbours along the border. ``tangles`` are the triangles that may cross.
+    ``neighbours`` are the vertices that lie near each along the cloth; ``index`` (P,) is the sample nearest to each
+    place at rest; ``friction`` is the coefficient between cloth and skin. ``hem`` (H, 3) are the places of border
+    vertices, each between its neighbours along the border. ``tangles`` are the triangles that may cross.
     """
 
     sheet: Sheet
@@ -164,11 +164,11 @@ def heights_m(vertices: np.ndarray, skin: Samples, index: np.ndarray) -> np.ndar
 
 
 def leash_n_per_m(vertices: np.ndarray, area: np.ndarray, skin: Samples, index: np.ndarray) -> np.ndarray:
-    """Returns the leash's stiffness [N/m] (V,) for ``vertices`` [m] (V, 3) at rest with these areas ``area`` [m^2]
-    (V,).
+    """Returns the stiffness [N/m] (V,) of the leash, the spring that holds a vertex within a centimetre of where the
+    network has it, for ``vertices`` [m] (V, 3) at rest with the areas ``area`` [m^2] (V,).
 
-    It falls with their height over the samples ``index`` (V,) of ``skin``: friction would hold what lies there, and
-    what hangs is free to hang as its fabric does.
+    It falls with the height of a vertex over the sample ``index`` (V,) of ``skin``: friction would hold what lies
+    there, and what hangs is free to hang as its fabric does.
     """
     height_m = heights_m(vertices, skin, index)
     return LEASH_N_M3 * area * np.clip((HANGING_M - height_m) / (HANGING_M - LYING_M), LEAST, 1.0)

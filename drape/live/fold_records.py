@@ -36,10 +36,10 @@ def fold_records(
 
 
 def shape_feed(body: BodyModel, betas: np.ndarray | None = None) -> BodyFeed:
-    """Returns the constants by which the engine poses ``body`` in the shape ``betas`` (S,), without a pose and a motion
-    code.
+    """Returns the constants by which the engine poses ``body`` in the shape ``betas`` (S,); None is the mean shape.
 
-    Raises ``BodyError`` for a body with pose blend shapes.
+    The fields of ``BodyFeed`` that change from frame to frame are empty arrays (0,): ``local``, the rotations of the
+    pose, and ``motion``, the code of the motion. Raises ``BodyError`` for a body with pose blend shapes.
     """
     skin, none = body_skin(body).on_bones(body, betas), np.zeros(0, np.float32)
     rows = np.asarray(skin.rows)

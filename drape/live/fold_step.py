@@ -26,12 +26,12 @@ OUTCOME = 7  # numbers of 64 bits that the engine writes about a frame
 
 @dataclass(frozen=True, eq=False)
 class FoldMemory(FrameMemory):
-    """What a frame of folds leaves to the next one. Its P points are the places of the constants' sheet.
+    """What a frame of folds leaves to the next one. Its P points are the places of the ``Sheet`` of ``FoldConstants``.
 
-    ``residual`` [m] and ``velocity`` [m/s] (P, 3) of the folds are in the local frames of the network's surface.
-    ``touched`` are the skin samples at the places. ``grip`` [m] (P, 3) is where friction holds each place, in the local
-    frame of its own sample. In the next frame a quarter of the vertices, those whose number is ``turn`` modulo four,
-    look for other parts of the body.
+    ``residual`` [m] (P, 3) is how far the folds have moved each from the network's drape, and ``velocity`` [m/s] (P, 3)
+    how fast they move it, both in the local frames of that surface. ``touched`` are the skin samples at the places.
+    ``grip`` [m] (P, 3) is where friction holds each place, in the local frame of its own sample. In the next frame a
+    quarter of the vertices, those whose number is ``turn`` modulo four, look for other parts of the body.
     """
 
     residual: np.ndarray
@@ -41,8 +41,8 @@ class FoldMemory(FrameMemory):
     turn: int
 
     def arrays(self, fine: np.ndarray) -> Record:
-        """Returns this memory with the ``fine`` places [m] (Q, 3) as the record that the engine reads, still without a
-        time; the record that the frame itself wrote, if ``fine`` is that frame's too."""
+        """Returns the record that the engine reads of this memory and of ``fine`` [m] (Q, 3), the positions of a fine
+        cloth; its time step is not set. The record is made once for the same array ``fine``."""
         left: Record | None = vars(self).get("left")
         if left is None or left.arrays[-1] is not fine:
             arrays = FoldArrays(self.network, self.residual, self.velocity, self.grip, *self.touched, fine)
@@ -82,8 +82,8 @@ class FoldEffort(NamedTuple):
 
 
 class FoldArrays(NamedTuple):
-    """The arrays of a ``FoldMemory`` and the ``fine`` places [m] (Q, 3) of a cloth of two levels, as the engine reads
-    them before a frame and writes them after it.
+    """The arrays of a ``FoldMemory``, and for a cloth of two levels where the Q places of the ``fine`` one are, [m]
+    (Q, 3), as the engine reads them before a frame and writes them after it.
 
     ``step_s`` [s] is the time from this past to the frame; infinite where there is none.
     """
@@ -144,8 +144,8 @@ def fold_call(constants: FoldConstants, memory: FoldMemory | None, time_s: float
 
 
 def past_of(memory: FoldMemory | None, time_s: float, fine: np.ndarray) -> Record:
-    """Returns the record of the past of a frame at ``time_s`` [s]: ``memory`` and the ``fine`` places [m] (Q, 3). It is
-    ``no_past`` if there is no memory, or if the frame does not follow it."""
+    """Returns the record of the past of a frame at ``time_s`` [s]: ``memory`` and the positions ``fine`` [m] (Q, 3) of
+    a fine cloth. It is ``no_past`` if there is no memory, or if the frame does not follow it."""
     if memory is None or not memory.leads_to(time_s):
         return no_past(fine.dtype)
     return memory.arrays(fine).ending(memory.turn, step_between(memory.time_s, time_s))
@@ -180,7 +180,8 @@ def memory_of(time_s: float, after: FoldArrays, turn: int, left: Record) -> Fold
 
 def compute_frame(call: FoldCall, frame: Frame, effort: FoldEffort) -> tuple[np.ndarray, Any, FoldReport]:
     """Returns for ``frame``, which it computes by ``call``, the vertices [m] (V, 3), the memory for the next frame, and
-    a report. The vertices are the network's where a vertex comes more than 0.25 m away from it even without a past."""
+    a report. If folds take any vertex more than 0.25 m away from the network's drape, even without a past, the vertices
+    are all as the network has them."""
     dtype = call.after.arrays[0].dtype
     vertices, around = np.ascontiguousarray(frame.vertices, dtype), frame.around(dtype)
     out, outcome = np.empty_like(vertices), np.empty(OUTCOME, np.int64)

@@ -25,8 +25,8 @@ def heights_over(vertices: np.ndarray, inner: LaidCloth, own: np.ndarray, skin: 
     """Returns how high [m] (S,) the garment ``inner`` raises each of the samples ``skin`` (S, 8): 0 where no vertex
     lies over it.
 
-    Its ``vertices`` are [m] (V, 3), and its triangles face outward. Each place of its sheet raises the sample that it
-    is at, ``own`` (P,), and that sample's neighbours.
+    The garment's ``vertices`` are [m] (V, 3), and its triangles face outward. ``own`` (P,) is the index of the sample
+    under each place of its ``Sheet``. A vertex raises this sample and the neighbours of this sample.
     """
     dtype, height = inner.dtype, np.empty(len(skin), inner.dtype)
     x, samples = np.ascontiguousarray(vertices, dtype), np.ascontiguousarray(skin, dtype)

@@ -26,10 +26,11 @@ BOUND_M2 = ROOM_M**2 / (FREE - 1)
 
 
 class SheetNeighbours(NamedTuple):
-    """For each of V vertices the vertices that may be of one sheet with it.
+    """For each of V vertices the vertices near it along the cloth, from which it need not keep apart.
 
-    Those of v are ``vertex[start[v] : start[v + 1]]``, v itself too. Such a pair is of one sheet while the square of
-    its distance through the air is at least ``square`` [m^2], which is 0 where the two are near along the cloth.
+    Those of v are ``vertex[start[v] : start[v + 1]]``, v itself too. A pair need not keep apart while the square of
+    its distance through the air is at least ``square`` [m^2]: less is a fold that closes. ``square`` is 0 where the two
+    are so near along the cloth that they never keep apart.
 
     ``clusters`` (C, ``LANES``) are vertices side by side. ``other[other_start[a] : other_start[a + 1]]`` (K,) are
     cluster a and the clusters behind it that have a vertex listed with one of a. ``bound`` (K, ``LANES``, ``LANES``)

@@ -39,7 +39,7 @@ class Sheet(NamedTuple):
     two rows of ``fan_other``, the places of the other corners, and five of ``fan_slope``, their slopes [1/m] along warp
     and weft and the area [m^2]. Bending of hinges flat at rest: ``bend_start`` (B + 1,) counts rows of ``bend_other``,
     places, and of ``bend_value``, their numbers in the matrix Q [N/m]. ``own`` has four rows a block: weight [N], the
-    diagonal of Q, contact's stiffness and that of the spring to the network's place [N/m].
+    diagonal of Q, contact's stiffness and that of the spring to where the network has the vertex [N/m].
 
     Block b has the entries ``crease_start[b]`` to ``crease_start[b + 1]`` of ``crease_lane``, a lane of the block, and
     of ``crease_member``, 4 h + c where that lane is corner c of hinge h of the ``creases``. The blocks of a colour
@@ -67,7 +67,7 @@ def sheet(
     cloth: ClothMesh, material: Material, band_n_per_m: np.ndarray, *, dtype: type[np.floating] = np.float32
 ) -> Sheet:
     """Returns the tables of ``cloth`` made of ``material``, floats of ``dtype``. ``band_n_per_m`` [N/m] (V,) is the
-    stiffness of the springs to the network's places."""
+    stiffness of the springs that hold vertices where the network has them."""
     flat = problem(cloth, material, dtype=dtype)
     blocks = _blocks(flat)
     real = blocks >= 0

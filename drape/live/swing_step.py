@@ -46,12 +46,13 @@ class SwingConstants(Recorded):
 
 @dataclass(frozen=True, eq=False)
 class SwingMemory(FrameMemory, Recorded):
-    """What a frame of swing leaves to the next one. Its N points are the nodes; coordinates count from ``origin`` [m]
-    (3,) in the world.
+    """What a frame of swing leaves to the next one. Its N points are the nodes of ``SwingMesh``; coordinates count from
+    ``origin`` [m] (3,) in the world.
 
-    The nodes ``swung`` to [m] (N, 3) with the ``speed`` [m/s] (N, 3). ``climb`` [m/s] (N,) is how fast the network
-    raised them, NaN where it is not known. ``touched`` (N,) are the skin samples below them, ``still_since_s`` [s] (1,)
-    is the time since when the network has not moved, and ``colliders`` (M, 16) are the scene's.
+    ``swung`` [m] (N, 3) is where the nodes were and ``speed`` [m/s] (N, 3) how they moved. ``climb`` [m/s] (N,) is how
+    fast the network's drape of each went up, NaN where it is not known. ``touched`` (N,) are the skin samples below
+    the nodes, ``still_since_s`` [s] (1,) is the time since when the network's drape has not moved, and ``colliders``
+    (M, 16) are the scene's.
     """
 
     origin: np.ndarray
@@ -76,7 +77,8 @@ def swing(
     next frame.
 
     ``origin`` [m] (3,) is that of the frame's coordinates in the world. The same input gives the same bits; ``memory``
-    is only read. In a frame without a past, and in one to which no swing leads, cloth hangs still.
+    is only read. Cloth begins at rest in a frame that cannot go on from ``memory``: there is none, its time is not
+    within ``PAUSE_S`` before, or the network's drape has jumped.
     """
     dtype = constants.mesh.mass_kg.dtype
     vertices, around = writable(frame.vertices, dtype), frame.around(dtype)

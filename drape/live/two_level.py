@@ -63,8 +63,8 @@ LOWER = [n for n, name in enumerate(JOINT_NAMES) if name.split("_")[-1] in ("pel
 
 @dataclass(frozen=True, eq=False)
 class TwoLevelMemory:
-    """What a frame of folds on two levels leaves to the next one: the memory of the ``coarse`` cloth, and where the
-    ``fine`` one lay, [m] (Q, 3), or (0, 3) after a lift."""
+    """What a frame of folds on two levels leaves to the next one: the memory of the ``coarse`` cloth, and where the Q
+    places of the ``fine`` one were, [m] (Q, 3); (0, 3) if the frame was only eased and lifted."""
 
     coarse: FoldMemory
     fine: np.ndarray
@@ -94,7 +94,8 @@ class OneLevel:
         return self.constants.laid
 
     def own(self, memory: Memory) -> np.ndarray:
-        """Returns the skin sample (P,) under each place of the sheet in a ``memory`` that ``fold`` returned."""
+        """Returns which skin sample was under each vertex in the frame that left ``memory``: (P,) int32, an index into
+        the body's skin samples for each of the P places of the ``Sheet`` of ``constants``."""
         assert isinstance(memory, FoldMemory)
         return memory.touched.own
 
@@ -110,7 +111,7 @@ class OneLevel:
         return fold_call(self.constants, memory if isinstance(memory, FoldMemory) else None, time_s)
 
     def begins(self, memory: Memory | None, effort: FoldEffort) -> bool:
-        """Returns False: cloth of one level is never lifted alone."""
+        """Returns False: cloth of one level is never lifted without folds (``TwoLevel.begins``)."""
         return False
 
 
@@ -128,7 +129,8 @@ class TwoLevel:
         return array_bytes(self.levels)
 
     def own(self, memory: Memory) -> np.ndarray:
-        """Returns the skin sample (P,) under each place of the fine sheet in a ``memory`` that ``fold`` returned."""
+        """Returns which skin sample was under each vertex in the frame that left ``memory``: (P,) int32, an index into
+        the body's skin samples for each of the P places of the ``Sheet`` of the fine cloth."""
         assert not isinstance(memory, FoldMemory)
         own = memory.own if isinstance(memory, LiftMemory) else memory.coarse.touched.own
         return own[self.levels.fine.parent]
@@ -153,8 +155,8 @@ class TwoLevel:
         return lift_call(self.levels, memory if isinstance(memory, LiftMemory) else None, time_s)
 
     def begins(self, memory: Memory | None, effort: FoldEffort) -> TypeGuard[LiftMemory]:
-        """Returns whether this frame takes the first steps after frames that were lifted alone. ``fold`` then reads the
-        network's drape; ``call`` cannot make such a frame."""
+        """Returns whether a frame after ``memory`` is the first with steps of folds: the frame before was only eased
+        and lifted. ``fold`` can make such a frame, ``call`` cannot."""
         return effort.steps > 0 and isinstance(memory, LiftMemory)
 
 

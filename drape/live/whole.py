@@ -42,14 +42,16 @@ SPRING = 0.2
 
 
 class PanelLevels(NamedTuple):
-    """The order in which a card multiplies the N panels of a factor: all of a level at once. A panel is a level above
-    those with members among its columns.
+    """The order in which a card multiplies the N panels of a ``StiffnessFactor``: all of a level at once. A panel is a
+    level above those that have members among its columns. There are L levels.
 
-    Level n has the entries ``row_start[n]`` to ``row_start[n + 1]`` of ``row_panel`` and ``row``: ``LANES`` rows of
-    that panel, from that row on. Its columns are in ``column`` (V,) from ``column_start[n]`` (L + 1,) on. ``panel``
-    (V,) is the panel of each column. In a card's scratch lie first the products of panels, those for column j from
-    ``left[j]`` (V + 1,) on in the order of the panels, then V numbers, one a column, that the way down leaves to the
-    way up. ``to``, as long as ``member``, is where each member's number goes.
+    Level n has the entries ``row_start[n]`` to ``row_start[n + 1]`` of ``row_panel`` and ``row``. Each entry stands for
+    ``LANES`` rows of that panel, from that row on. The columns of level n are ``column`` (V,) from ``column_start[n]``
+    to ``column_start[n + 1]``. ``panel`` (V,) is the panel of each column.
+
+    A card's scratch has the products of panels: those for column j from ``left[j]`` (V + 1,) on, in the order of the
+    panels. V numbers follow, one a column. ``to`` says where in the scratch the number of each entry of
+    ``StiffnessFactor.member`` goes, -1 for entries that only fill up.
     """
 
     row_start: np.ndarray
@@ -66,13 +68,14 @@ NO_LEVELS = PanelLevels(*[np.zeros(0, np.int32)] * 8)  # of a processor, which n
 
 
 class StiffnessFactor(NamedTuple):
-    """The factor L D L^T of the stiffness K of V vertices, with L as N panels; ``inverse`` (V,) is the diagonal of 1 /
-    D. Rows are in its own order.
+    """The factor L D L^T of the stiffness K of V vertices; ``inverse`` (V,) is the diagonal of 1 / D. Rows and columns
+    have an order of their own: ``place`` (V,) is the place in a ``Sheet`` of each.
 
-    Panel p has the columns ``column[p]`` to ``column[p + 1]`` (N + 1,). Its members are its columns and the rows below
-    them, ``size[p]`` of them (N,). They are in ``member`` from ``start[p]`` (N + 1,) on, padded with its first column
-    to a multiple of ``LANES``. Its numbers are in ``value`` from ``entry[p]`` (N,) on, column after column. ``place``
-    (V,) is the place of each row in a sheet. ``levels`` is the order of a card, empty for a processor.
+    L is stored as N panels, dense matrices of columns that have nearly the same rows. Panel p has the columns
+    ``column[p]`` to ``column[p + 1]`` (N + 1,). Its members are these columns and the rows below them that have
+    entries, together ``size[p]`` (N,). They are in ``member`` from ``start[p]`` (N + 1,) on, filled up with the panel's
+    first column to a multiple of ``LANES``. The panel's numbers are in ``value`` from ``entry[p]`` (N,) on, column
+    after column. ``levels`` is the order of a card, empty for a processor.
     """
 
     place: np.ndarray

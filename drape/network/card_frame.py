@@ -72,10 +72,12 @@ class CardGarment:
     def call(
         self, kind: _Kind, pieces: np.ndarray, own: np.ndarray, solid: np.ndarray, vertices: np.ndarray
     ) -> LayerCall:
-        """Returns the engine's record of the garment in a frame of this ``kind``, for a template.
+        """Returns the engine's record of the garment in a frame of this ``kind``, from which a template is made.
 
-        Its memories of folds before the frame, of swing before it, and of both after it lie in ``pieces`` (3, n) uint8.
-        ``own`` are its numbers, ``solid`` (M, 16) the frame's colliders; it writes to ``vertices`` (V, 3).
+        ``pieces`` (3, n) uint8 stand for the memories of folds before the frame, of swing before it, and of both after
+        it. ``own`` (7 + 16 M',) are the garment's numbers: the origins [m] (3,) of this frame and of the one before,
+        ``still_since_s`` for a frame without a past, and the M' colliders of the frame before. ``solid`` are the
+        colliders of this frame. The vertices are written to ``vertices`` [m] (V, 3).
         """
         (before, swung_before, after), layout, swung, swung_then = pieces, self.layout, None, None
         if layout.nodes:
@@ -109,8 +111,9 @@ class CardOutfit:
         self._templates = lru_cache(KEPT)(self._template)
 
     def template(self, kinds: tuple[_Kind, ...], colliders: int, feed: BodyFeed) -> tuple[FrameTemplate, np.ndarray]:
-        """Returns the row that frames of these ``kinds`` have in a launch, with so many ``colliders`` and on the body
-        of ``feed``, and the columns (n,) of the numbers in it that differ from frame to frame."""
+        """Returns the template of frames on the body of ``feed`` with so many ``colliders`` and garments of these
+        ``kinds``: the words that a launch reads for one frame. Also returns the columns (n,) of the words that differ
+        from frame to frame."""
         return self._templates(kinds, colliders, self._place(feed))
 
     def _template(self, kinds: tuple[_Kind, ...], colliders: int, body: Any) -> tuple[FrameTemplate, np.ndarray]:
@@ -140,12 +143,13 @@ class CardOutfit:
 
 
 class FrameJob:
-    """F frames of one outfit that a lane is asked for: those of each stream at its ``moments``, one after the other.
-    The first frame of a stream goes on from its ``pasts``, one for each garment.
+    """F frames of one outfit that a lane is asked for: those of the first stream at its ``moments``, then those of the
+    next. The first frame of a stream goes on from its ``pasts``, one for each garment.
 
-    ``drawn`` (F,) are the results once the card has drawn them, as ``frame.draw`` returns them; False for what needs
-    more scratch than the card has, and for what goes on from that. Of the arrays one is filled: ``steps`` (F, V', 3)
-    uint16, or where an outfit has none ``vertices`` [m] (F, V, 3), which are NaN otherwise.
+    ``drawn`` are the F results of ``frame.draw`` once the card has computed them. False: not computed, since the frame
+    or one before it needs more scratch than the card has. Of two arrays one is filled. It is ``steps`` (F, V', 3)
+    uint16, the coordinates of the V' vertices that are seen, as ``FrameOutfit`` says; ``vertices`` are then NaN. For an
+    outfit without steps it is ``vertices`` [m] (F, V, 3).
     """
 
     def __init__(
@@ -187,8 +191,9 @@ class FrameJob:
             launch.add(Group(template, first + row, addresses[row], written, back, columns, numbers))
 
     def read(self, results: np.ndarray, back: np.ndarray) -> None:
-        """Fills ``drawn`` and the arrays from a launch that has ended: ``results`` (L, TOLD) int64 of all its layers,
-        and ``back`` (n,) uint8, all that it copied back."""
+        """Fills ``drawn`` and the arrays from a launch that has ended. ``results`` (L, TOLD) int64 has a row for each
+        garment of each frame of the launch (``frame.read_results``); ``back`` (n,) uint8 are all bytes that it copied
+        from the card."""
         own = results[self._first :][: len(self) * len(self._names)].reshape(len(self), -1, TOLD)
         if self.steps.size:
             self.steps = back[self._steps_at :][: self.steps.nbytes].view(np.uint16).reshape(self.steps.shape)
@@ -293,8 +298,8 @@ def draw_by_card(
     """Returns F frames, those of one stream after the other, as ``frame.draw`` does, their vertices [m] (F, V, 3) and
     their steps (F, V', 3); of the two arrays one is filled, as in ``FrameJob``.
 
-    ``pasts`` and ``moments`` are by stream. A processor computes what no card draws, and without the memories of a card
-    that is gone.
+    ``pasts`` and ``moments`` are by stream. The processor computes what no card does. For memories of a card that is
+    gone it takes their copies (``CardMemory.kept``).
     """
     groups: dict[tuple[tuple[str, ...], Lane], list[int]] = {}
     for k, own in enumerate(pasts):

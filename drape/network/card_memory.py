@@ -34,7 +34,8 @@ class Layout(NamedTuple):
     fine: int
 
     def fields(self, name: str) -> dict[str, tuple[tuple[int, ...], Any]]:
-        """Returns shape and dtype of each array of the memory ``name``, by the fields of the engine's record."""
+        """Returns the shape and dtype of each array of a memory, by its field of the engine's record. ``name`` is
+        ``SWING`` for the memory of swing, else that of folds."""
         if name == SWING:
             count = self.nodes
             rest = {
@@ -55,7 +56,7 @@ class Layout(NamedTuple):
         return sum(_bytes(*field) for name in self._names for field in self.fields(name).values())
 
     def views(self, piece: np.ndarray, name: str) -> dict[str, np.ndarray]:
-        """Returns views of the arrays of the memory ``name`` in a ``piece`` (size,) uint8, by field."""
+        """Returns views of the arrays of the memory ``name`` in a ``piece`` (size,) uint8, by field (``fields``)."""
         arrays, at = dict[str, np.ndarray](), 0
         for own in self._names[: self._names.index(name) + 1]:
             for field, (shape, dtype) in self.fields(own).items():
@@ -99,7 +100,7 @@ class CardMemory:
         return replace(self, time_s=time_s)
 
     def leads_to(self, time_s: float) -> bool:
-        """Whether ``time_s`` [s] is so soon after this frame, and not before it, that a frame then may go on from
+        """Whether a frame at ``time_s`` [s] may go on from this one: it is not before it and at most ``PAUSE_S`` after
         it."""
         return 0.0 <= time_s - self.time_s <= PAUSE_S
 

@@ -35,9 +35,12 @@ _NO_STEPS = np.empty((0, 3), np.uint16)
 
 
 class FrameParts(NamedTuple):
-    """The record of a ``FrameGarment`` as the engine reads it: ``cloth`` are the constants of folds on one level,
-    ``levels`` those on two, ``laid`` what garments over and below it read, if they feel each other; the one that it
-    lacks is None."""
+    """The fields of a ``FrameGarment`` as the engine reads them.
+
+    ``cloth`` are the constants of folds on one level, ``levels`` those on two; the other is None, or both without
+    folds. ``laid`` is what garments over and below it read, None where these do not feel each other. ``effort`` and
+    ``novel_effort`` are the two efforts.
+    """
 
     weights: Weights
     kept: KeptPoses | None

@@ -18,8 +18,8 @@ class KeptPoses(Recorded):
     """The poses that the network was trained on, as the engine measures distances to them (``PoseSupport``).
 
     For each part of the body ``parts`` has a layer that gives |k|^2 - 2 k.x for each kept pose k, and ``counts`` the
-    number of poses. ``entry`` is the entry of a pose's rotation matrices that each input of the layers is; squares of
-    distances are divided by ``over``, one for each part.
+    number of poses. Inputs x of the layers are numbers of the pose's rotation matrices (24, 3, 3): ``entry`` are their
+    indices in these, part after part. Squares of distances are divided by ``over``, one number for each part.
     """
 
     parts: tuple[Layer, ...]
