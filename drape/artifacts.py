@@ -88,15 +88,15 @@ class FileSpec:
 class Manifest:
     """The record ``manifest.json`` of a model folder.
 
-    ``graphs``: "garment_encoder" (patch features -> embedding, run once per garment)
-    and "drape" (pose + garment -> vertices); of a ``dynamic`` model also "dynamic_encoder"
-    (motion + state -> what the drape graph adds to the pose, next state), with a state of
-    ``state_size`` numbers per client. ``body_digest``: sha256 of the body the
-    network was trained on. ``parity_error_m``: largest vertex distance torch vs
-    onnxruntime at export. ``quality``: rows of benchmarks.quality. ``training``: commit,
-    command, frames seen, losses at the end. ``network``: its sizes, as ``training.config.ModelConfig`` names
-    them. ``weights``: None where every graph holds its own. ``tiers``: rows of ``drape.stages.tiers.Tier``, the
-    least first. ``poses``: the file of ``drape.body.pose_distance``, None where none was made.
+    ``graphs``: by name "garment_encoder" (patch features -> embedding, run once per garment) and "drape" (pose +
+    garment -> vertices); of a ``dynamic`` model also "dynamic_encoder" (motion + state -> what the drape graph adds to
+    the pose, next state), with a state of ``state_size`` numbers per client. ``embedding_size``: numbers of a patch's
+    embedding. ``body``, ``body_digest``: name and sha256 of the body the network was trained on. ``parity_error_m``:
+    largest vertex distance torch vs onnxruntime at export. ``quality``: rows of the record of ``benchmarks.quality``,
+    empty where it was not measured. ``training``: facts such as "commit", "command" and "frames", the number of frames
+    seen. ``network``: the fields of ``training.config.ModelConfig`` by name. ``weights``: None where every graph holds
+    its own. ``tiers``: fields of ``drape.stages.tiers.Tier`` by name, the least tier first. ``poses``: the file of
+    ``drape.body.pose_distance``, None where none was made.
     """
 
     name: str

@@ -66,8 +66,8 @@ def folded(constants: FoldConstants, vertices: np.ndarray, frames: int, seconds:
 
 
 def packages() -> dict[str, str]:
-    """Returns by each part of the product (``PARTS``) the name and the version of the package that it needs, or "-"
-    where that is not installed."""
+    """Returns for each part of the product, a key of ``PARTS``, the name and the version of the package that it needs,
+    or just "-" where that is not installed."""
     versions = {}
     for part, name in PARTS.items():
         try:
@@ -90,8 +90,8 @@ def can_write(folder: Path) -> bool:
 
 
 def findings() -> tuple[dict[str, str], list[str]]:
-    """Returns facts about the installation by their subjects, and a sentence with a cure for each thing that is
-    wrong."""
+    """Returns facts about the installation by subject, such as "processor" and "self-test", each in words; and a list
+    with a sentence for each thing that is wrong, which says how to mend it."""
     wrong: list[str] = []
     forced = os.environ.get("DRAPE_ISA")
     facts = {"processor": processor()}

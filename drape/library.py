@@ -142,11 +142,11 @@ class Drape:
 
         ``garments``: one garment, or several worn over each other, the innermost first. Each is a shipped name, a file
         (a mesh of one garment or several, or a stored garment), or a ``Garment`` that ``drape.intake`` made. ``on``:
-        the GLB or VRM file of a character that wears them in place of the body. ``alive``: its own clothes are draped
-        as well, but for those that ``garments`` replace; it takes seconds. ``betas``: its shape coefficients. ``size``:
-        "S", "M", "L" or "XL" of all garments, or a list with one of each and None where a garment comes in one; a size
-        takes seconds. ``options`` are the fields of ``DrapeOptions``, such as ``tier``, ``fabric``, ``hidden`` and
-        ``colliders``.
+        the GLB or VRM file of a character that wears them in place of the body. ``alive``: the character's own clothes
+        are draped as well, but for those that ``garments`` replace; it takes seconds. ``betas``: the body's shape
+        coefficients; a character has none. ``size``: "S", "M", "L" or "XL" of all garments, or a list with one for each
+        garment, None where it comes in one size; a size takes seconds. ``options`` are the fields of ``DrapeOptions``,
+        such as ``tier``, ``fabric``, ``hidden`` and ``colliders``.
 
         Raises ``InputError`` for an unknown option or a value out of range, ``NotFound`` for an unknown name or size,
         and ``BodyError`` for a character that cannot wear one of them.
@@ -220,7 +220,8 @@ class Drape:
 
 
 class WornBy(NamedTuple):
-    """The character that wears garments, its ``file``, and the ``halves`` of its body on which our garments lie."""
+    """The character that wears garments, its ``file``, and on which ``halves`` of its body, the upper and the lower
+    one, garments lie that are not its own."""
 
     wearer: Wearer
     file: Path

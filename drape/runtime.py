@@ -82,9 +82,10 @@ class Runtime:
     def steps(self, plan: Plan) -> tuple[Plan, ...]:
         """Returns the plans to which a stream of ``plan`` can step down under load, the one that computes least first.
 
-        From the third on they are the tiers with folds, each lowered to what ``plan`` computes. The second is the third
-        without cloth contact (``tiers.spared``), if the scene is a single garment: layers need the contact. The first
-        is the second without steps of folds.
+        From the third on they are the tiers with folds, each lowered to what ``plan`` computes. If the scene is a
+        single garment, the second is the third without cloth contact (``tiers.spared``), and the first is the second
+        without steps of folds (``Plan.carried``) if ``plan`` has such steps. Layers need the contact: for an outfit the
+        first three are equal.
         """
         stages = self.on(plan.scene).stages
         held = [capped(plan.options, tier) for tier in self.tiers if tier.folds]

@@ -56,10 +56,11 @@ def count_cards(driver: str = DRIVER) -> int:
 class Card:
     """One opened NVIDIA card: its memory, and launches of the kernel in the file ``path``.
 
-    ``number`` counts the cards of this machine from 0, and ``driver`` is NVIDIA's library. ``name`` is the card's, and
+    ``number`` is the card's index on this machine, and ``driver`` is NVIDIA's library. ``name`` is the card's, and
     ``groups`` is how many groups of threads it runs at once. A thread calls ``enter`` before it calls anything else.
     Raises ``Unavailable`` where there is no driver or an old one, no card or an old one, too little free memory, or
-    kernels of another engine. Every method raises ``OSError`` where the driver reports a fault.
+    kernels that were compiled with another table of records. Every method raises ``OSError`` where the driver reports a
+    fault.
     """
 
     def __init__(self, path: Path, *, number: int = 0, driver: str = DRIVER) -> None:

@@ -62,18 +62,20 @@ class Pool:
 
 
 class Ranges:
-    """Ranges of this machine's memory that lie in numbered pieces of a card's memory.
+    """Where arrays of this machine have their copies in a card's memory.
 
-    A range of ``ranges`` is its first address here, its length [bytes], the number of its piece, and the offset
-    [bytes] at which it begins in that piece.
+    ``ranges`` are stretches of this machine's memory, and each has a copy in one piece of the card's memory. A piece is
+    a block of bytes; its number is an index that the caller gives, from 0 on. A range is its first address here, its
+    length [bytes], the number of the piece with its copy, and the offset [bytes] in the piece at which the copy begins.
     """
 
     def __init__(self, ranges: Iterable[tuple[int, int, int, int]]) -> None:
         self.begin, self.size, self.piece, self.offset = np.array(sorted(ranges), np.uint64).reshape(-1, 4).T
 
     def places(self, words: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Finds the ``words`` (n,) uint64 that are addresses within the ranges. Returns their indices (k,), and for
-        each of them the number of its piece (k,) and its offset [bytes] in the piece (k,)."""
+        """Returns which of the ``words`` (n,) uint64 are addresses within the ranges, as three arrays: the indices (k,)
+        of these words; the number (k,) of the piece that holds the copy of what each points to; and the offset (k,)
+        [bytes] at which this copy begins in the piece."""
         # An array may be a row of another one, so a word is an address within the last that begins before it.
         before = np.searchsorted(self.begin, words, side="right") - 1
         place = np.flatnonzero(before >= 0)
@@ -84,8 +86,11 @@ class Ranges:
 
 
 class Flat:
-    """The layout of a ``record`` in one piece of a card's memory, ``size`` bytes: its words first, then its arrays and
-    the words and arrays of its parts. Those that records ``beside`` it hold lie on the card already, and are left out.
+    """The layout of a ``record`` in one piece of a card's memory: its words first, then its arrays, then the words and
+    arrays of its parts. ``size`` is the length of the piece [bytes].
+
+    Arrays that are also in one of the records ``beside`` lie on the card already. They are left out, and the words
+    point to them there.
     """
 
     def __init__(self, record: Record | Recorded, beside: Sequence[CardRecord] = ()) -> None:
@@ -107,7 +112,8 @@ class Flat:
         )
 
     def at(self, address: int) -> np.ndarray:
-        """Returns the bytes (``size``,) uint8 of the piece that lies at ``address`` on a card."""
+        """Returns the bytes (``size``,) uint8 to be copied to the card's ``address``; the words among them point into
+        the piece that begins there."""
         piece = np.zeros(self.size, np.uint8)
         for offset, array in [(0, self.words), *self._at.values()]:
             numbers = self._relocated(address, array.reshape(-1).copy()) if array.dtype == np.uint64 else array
@@ -122,8 +128,8 @@ class Flat:
 
 
 class CardRecord:
-    """A copy of ``record`` on a card, in a piece of ``pool`` that begins at ``address``. Arrays that it shares with
-    records ``beside`` it lie in their pieces."""
+    """A copy of ``record`` on a card, in a piece of ``pool`` that begins at ``address``. Arrays that are also in one of
+    the records ``beside`` are not copied again: both copies point to the same ones."""
 
     def __init__(self, pool: Pool, record: Record | Recorded, *, beside: Sequence[CardRecord] = ()) -> None:
         self.pool, self.flat = pool, Flat(record, beside)
@@ -131,7 +137,7 @@ class CardRecord:
         pool.card.write(self.address, self.flat.at(self.address))
 
     def give(self) -> None:
-        """Gives its piece back to the pool."""
+        """Gives the record's piece of memory back to the pool."""
         self.pool.give(self.address)
 
 

@@ -21,12 +21,14 @@ TOLD = 17  # words of the outcome of a frame's layer; the last one is what the e
 
 
 class FrameTemplate:
-    """The row of a frame, with addresses that are relative to where the row and the frame's memory will lie.
+    """What the rows of many frames have in common. A row is the 64-bit words by which a card is asked for one frame: a
+    ``FrameCall``, records that it points to, and numbers of that frame.
 
-    ``call`` is a ``FrameCall``. The records that it points to lie in the row, but for those that are ``placed`` on the
-    card. ``pieces`` are uint8 arrays of this machine; each stands for a piece of the card's memory that every frame has
-    for itself. ``numbers`` (n,) uint64 end the row, and every frame has its own. ``starts`` are the indices of the
-    words at which the call, its layers, each part and the numbers begin in the row.
+    An address in the template counts from the start of what it points into, the row or a piece of the card's memory;
+    ``fill`` adds where these lie. ``call`` is the ``FrameCall``. The records that it points to lie in the row, but for
+    those that are ``placed`` on the card. ``pieces`` are uint8 arrays of this machine; each stands for a piece of the
+    card's memory that every frame has for itself. ``numbers`` (n,) uint64 end the row, and every frame has its own.
+    ``starts`` are the indices of the words at which the call, its layers, each part and the numbers begin in the row.
     """
 
     def __init__(
@@ -66,10 +68,10 @@ class FrameTemplate:
 class Group(NamedTuple):
     """n frames of a launch whose rows have one ``template``.
 
-    ``place`` (n,): the index of each frame in the launch. ``pieces`` (n, p): the addresses on the card of its pieces,
-    without the last w. ``written`` (n, w): where its last w pieces begin, as offsets [bytes] that ``reserve`` returned;
-    ``back`` (w,) bool: whether these come back to this machine. ``numbers`` (n, k) uint64 are the words in the
-    ``columns`` (k,) of its row.
+    ``place`` (n,) is the index of each frame in the launch. Each frame has p + w of the template's ``pieces``.
+    ``pieces`` (n, p) are the addresses of the first p on the card. The launch writes the last w: ``written`` (n, w) is
+    where they begin, as offsets [bytes] that ``FrameLaunch.reserve`` returned, and ``back`` (w,) bool says which of
+    them come back to this machine. ``numbers`` (n, k) uint64 are put into the ``columns`` (k,) of each frame's row.
     """
 
     template: FrameTemplate
@@ -82,8 +84,8 @@ class Group(NamedTuple):
 
 
 class FrameLaunch:
-    """The frames of one launch, ``len()`` of them. Their rows go to the card in one copy, and the results come back in
-    one."""
+    """The frames that a card computes in one launch of its kernel, ``len()`` of them. Their rows (``FrameTemplate``) go
+    to the card in one copy, and the results come back in one."""
 
     def __init__(self, pool: Pool) -> None:
         self._pool, self._groups, self._chains, self._layers = pool, list[Group](), list[int](), list[int]()
@@ -104,7 +106,8 @@ class FrameLaunch:
 
     def chains(self, lengths: Sequence[int], layers: int) -> tuple[int, int]:
         """Adds a chain of frames for each of ``lengths``, all with ``layers`` layers. Within a chain each frame goes on
-        from the one before. Returns the index of the first added frame, and that of its first layer in the launch."""
+        from the one before. Returns the index of the first added frame, and the row of its first layer in ``outcomes``.
+        """
         begin = len(self), sum(self._layers)
         for length in lengths:
             self._chains += [length, *[0] * (length - 1)]
@@ -149,8 +152,9 @@ class FrameLaunch:
         self._pool.card.frames(at, len(self), min(groups, len(self)), threads)
 
     def outcomes(self, out: int) -> tuple[np.ndarray, np.ndarray]:
-        """Returns the outcomes (L, TOLD) int64 of all layers of the launch, and the results (n,) uint8 that come back.
-        It waits for the end of the launch, which wrote from the card's address ``out`` on."""
+        """Waits for the end of the launch, which wrote from the card's address ``out`` on. Returns the outcomes (L,
+        ``TOLD``) int64 of the L layers of all frames, the words of ``FrameOutcome`` in ``source/frame_steps.hpp``; and
+        the results (n,) uint8 that come back, in which the offsets of ``reserve`` count."""
         written = np.empty(self._told_bytes + self._back_bytes, np.uint8)
         self._pool.card.read(out, written)
         outcomes = written[: 8 * TOLD * sum(self._layers)].view(np.int64).reshape(-1, TOLD)

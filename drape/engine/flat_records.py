@@ -16,9 +16,9 @@ TYPES = packer.TYPES | {"numbers": np.dtype(np.float32)}
 def flat_records(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[np.ndarray]]:
     """Returns the records ``values``, by their names in ``RECORDS``, as a document for JSON and a list of flat arrays.
 
-    The document's ``layout`` is the table's ``HASH``. In its ``records`` a field is a number, the count of elements of
-    an array, the document of a record, or a list of such. Arrays come in the order of the table's fields; their floats
-    are float32.
+    The document's ``layout`` is the table's ``HASH``. Its ``records`` has the fields of each record by name: a number;
+    of an array the count of its elements; of a record its fields in the same way; of several records a list. Arrays
+    come in the order of the table's fields; their floats are float32.
     """
     arrays: list[np.ndarray] = []
     records = {name: _document(name, value, arrays) for name, value in values.items()}

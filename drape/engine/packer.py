@@ -26,8 +26,8 @@ _WORD, _WORDS = struct.Struct("<Q"), {"number": struct.Struct("<d"), "count": st
 
 
 class Record:
-    """The words of a record as the engine reads them, at ``address``. The words point to ``arrays``, and to the records
-    ``parts``, which this keeps alive."""
+    """The 64-bit words of a record as the engine reads them, at ``address``. The words point to ``arrays``, and to the
+    records ``parts``; this keeps both alive."""
 
     __slots__ = ("_words", "address", "arrays", "parts")
 
@@ -44,7 +44,8 @@ class Record:
 
     @classmethod
     def of_rows(cls, blocks: Sequence[np.ndarray], *numbers: float) -> Record:
-        """Returns the record whose fields are the rows of ``blocks``, one block after the other, and then ``numbers``.
+        """Returns the record whose first fields are arrays, the rows of ``blocks``, one block after the other, and
+        whose last fields are ``numbers``.
 
         The address of a block is asked for once, and not that of each row. Types are not checked.
         """

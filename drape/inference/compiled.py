@@ -28,13 +28,15 @@ from drape.network.weights import weights_of
 
 
 def is_covered(network: Mapping[str, Any]) -> bool:
-    """Returns whether the engine computes the ``network`` of a manifest: the shipped kind, of whatever size."""
+    """Returns whether the engine computes the network that ``network``, an entry of a manifest, describes: one with
+    vector jets and corrections, whose ``decoder_sizes`` are multiples of ``dense.OUTPUTS``."""
     whole = all(int(size) % OUTPUTS == 0 for size in network.get("decoder_sizes", (1,)))  # codes are read in whole rows
     return network.get("variant") == "vector" and bool(network.get("corrections")) and whole
 
 
 class GarmentRows(NamedTuple):
-    """The constants of a garment as the engine reads them: its ``patches``, and the ``tiles`` of its vertices."""
+    """The constants of a garment as the engine reads them: ``patches`` for the network, and ``tiles``, by which the
+    posed patches are blended into ``vertex_count`` vertices."""
 
     patches: PatchRows
     tiles: Tiles
@@ -53,7 +55,8 @@ class CompiledNetwork:
         self._code_size = int(network["body_code_size"])
 
     def encode(self, features: np.ndarray) -> np.ndarray:
-        """Returns the garment encoder's output (K, n) float32 for K patches with ``features`` (K, m)."""
+        """Returns the garment encoder's output (K, n) float32, the packed graph's ``patch_first``, for K patches with
+        the ``features`` (K, m) of ``encoder_features``."""
         return encode_patches(self._garments, features)
 
     def advance(self, features: np.ndarray, state: np.ndarray, dt_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -96,7 +99,7 @@ class CompiledNetwork:
         whether all their numbers are finite.
 
         "jet" (K, 45) [patch scales], "frame_rotation" (K, 3, 3) and "frame_centre" (K, 3) [m] are the posed jets.
-        "vertices" [m] are (V, 3), or (0, 3) without ``vertices``. Places are relative to the root joint.
+        "vertices" [m] are (V, 3), or (0, 3) without ``vertices``. Positions are relative to the root joint.
         """
         count = self.corrections if passes is None else passes
         drawn = np.empty((garment.vertex_count if vertices else 0, 3), np.float32)

@@ -125,7 +125,7 @@ class Engine:
 
     def encode(self, garment: Garment, fabric: Fabric | None = None) -> np.ndarray:
         """Returns the garment encoder's output (K, n) float32 for the K patches of ``garment`` made of ``fabric``, None
-        for its own fabric."""
+        for its own fabric: the input of the drape graph that is computed once for a garment in a fabric."""
         wanted = self.manifest.graphs[ENCODER].inputs[0].shape[-1]
         features = encoder_features(garment, int(wanted), fabric)
         if self.compiled is not None:
@@ -193,7 +193,8 @@ class Engine:
         passes: int | None = None,
         given: Collection[str] = (),
     ) -> Session:
-        """Returns the session that computes ``outputs`` of ``graph`` and nothing else, opened at the first call.
+        """Returns the session that computes ``outputs`` of ``graph``, a name in the manifest, and nothing else. It is
+        opened at the first call.
 
         ``direct`` and ``given`` are those of ``subgraph.cut``. ``passes`` corrections of the packed graph run, None for
         all. A model that runs by its readable graph (``whole``) gets a session of the whole graph.

@@ -50,7 +50,8 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """What is computed of items: vertices, posed jets or both, and with ``skin`` the posed skin samples of the body.
+    """What ``Packer.run`` computes of each garment on a body: vertices, posed jets or both, as ``shape`` says, and with
+    ``skin`` the posed skin samples of the body.
 
     ``passes``: how many of the network's corrections run, None for all.
     """
@@ -67,7 +68,8 @@ class ScenePlan:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """The outputs of one item by name, float32, relative to the root joint; which ones, its ``ScenePlan`` says.
+    """What was computed of one garment on one body: float32 arrays by name, relative to the root joint. Which ones
+    there are, ``ScenePlan`` says.
 
     "vertices" (V, 3) [m]; the posed jets "jet" (K, 45) [patch scales], "frame_rotation" (K, 3, 3) and "frame_centre"
     (K, 3) [m]; "skin" (R, 12, 8), the body's posed samples. ``finite`` is false where an output holds NaN or infinity.
@@ -90,7 +92,8 @@ class _Call:
 class Packer:
     """Drapes stored garments on bodies by the model of ``engine``; safe to call from any thread.
 
-    ``kept_bytes`` limits the index tensors that are kept. ``tiles_per_call``: tiles that one call of a graph takes.
+    Calls of a graph take index tensors (``Indices``), which are kept for later calls up to ``kept_bytes``.
+    ``tiles_per_call``: how many tiles of garments one call takes, by default as many as suit the device.
     """
 
     def __init__(
@@ -122,7 +125,7 @@ class Packer:
 
     @property
     def kept_bytes(self) -> int:
-        """Returns the size of the index tensors of batches that are kept [bytes]."""
+        """Returns the size [bytes] of the index tensors that are kept for later calls."""
         return self._kept_bytes
 
     def add(self, key: str, garment: Garment, feed: dict[str, np.ndarray] | None = None) -> None:
@@ -178,7 +181,8 @@ class Packer:
             self._session(plan, one_shape=kind, skin_given=skin_given)
 
     def run(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: Sequence[Item]) -> list[Result]:
-        """Returns the results of ``items``, in their order. ``bodies`` are ``PackedBody.rows`` of B bodies.
+        """Returns the results of ``items``, in their order. An item is the key of a garment and a row of ``bodies``,
+        which are ``PackedBody.rows`` of B bodies.
 
         ``bodies`` may also hold "dynamic_code" (B, C) for a dynamic model, whose bodies are at rest without it, and
         "skin" (B, R, 12, 8), posed samples that replace those that the bones carry. Refuses (``NotFound``) a garment

@@ -48,8 +48,8 @@ class Store:
         return self._garments[key].garment
 
     def dress(self, key: str, name: str, patch_first: np.ndarray) -> None:
-        """Stores the garment ``key`` once more, under ``name``: in another fabric, with ``patch_first`` (K, n), the
-        encoder's output for it. Both share their tiles."""
+        """Stores the garment ``key`` once more, under ``name``: in another fabric, for which ``patch_first`` (K, n) is
+        the encoder's output. Both share their tiles."""
         packed = self.packed(key)
         packed = replace(packed, stored=packed.stored | {FIRST: patch_first})
         self._garments[name] = _Stored(self._garments[key].garment, packed, key)
@@ -75,7 +75,7 @@ class Store:
         return self._garments[key].packed
 
     def place(self, key: str) -> Place:
-        """Returns the rows at which patches and tiles of the garment ``key`` begin in ``arrays``."""
+        """Returns the rows of ``arrays`` at which the patches and the tiles of the garment ``key`` begin."""
         self.arrays()
         return self._places[key]
 

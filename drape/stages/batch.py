@@ -142,8 +142,9 @@ def shape_array(betas: Sequence[float] | None, body: BodyModel) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Jets:
-    """Posed patches of F frames, float32: coefficients ``jet`` (F, K, 45) [patch scales], and the frames of the
-    patches, ``rotation`` (F, K, 3, 3) and ``centre`` [m] (F, K, 3) relative to the root."""
+    """Posed patches of F frames, float32. ``jet`` (F, K, 45) [patch scales] are the coefficients of the change of each
+    patch's rest surface; ``rotation`` (F, K, 3, 3) and ``centre`` [m] (F, K, 3), relative to the root, are the patches'
+    frames."""
 
     jet: np.ndarray
     rotation: np.ndarray
@@ -161,12 +162,12 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """Figures of each frame (F,).
+    """Figures of each frame, all (F,).
 
-    ``pushed_share`` of the vertices were moved off the skin by the collision projection or by folds, the furthest by
-    ``push_max_m`` [m]. Vertices that are made of pushed jets lie at most ``left_m`` [m] from where they should.
-    ``folds_resets`` layers began their folds anew. ``novelty`` says how unlike training the pose is; a pose above 1 is
-    novel (``body.pose_distance``).
+    ``pushed_share`` is the share of the visible vertices that the collision projection or folds moved off the skin, and
+    ``push_max_m`` [m] is how far at most. Vertices that a client makes of pushed jets lie at most ``left_m`` [m] from
+    the pushed vertices. ``folds_resets`` is the number of layers that began their folds anew. ``novelty`` says how
+    unlike training the pose is; a pose above 1 is novel (``body.pose_distance``).
     """
 
     pushed_share: np.ndarray

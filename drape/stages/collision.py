@@ -136,7 +136,8 @@ class Pushed:
 class Pusher:
     """Pushes garments ``clearance_m`` [m] clear of a posed skin and of the garments below; one thread at a time.
 
-    The skin is that of ``body`` in any pose and shape. ``make(function, *arguments)`` calls what makes constants.
+    The skin is that of ``body`` in any pose and shape. ``make(function, *arguments)`` calls a function that takes long,
+    such as one that makes constants.
     """
 
     def __init__(

@@ -252,15 +252,16 @@ class _FoldedLayer:
 
 
 class FoldFigures:
-    """Figures of F frames, added up over the layers: how many layers began their folds anew (``resets``), how many
-    vertices were ``lifted`` off the skin and how far at most (``lifted_max_m`` [m]), and the number of ``vertices``."""
+    """Figures of each of F frames, added up over the layers: how many layers began their folds anew (``resets``), how
+    many visible vertices were ``lifted`` off the skin and how far at most (``lifted_max_m`` [m]). ``vertices`` is the
+    number of all visible vertices."""
 
     def __init__(self, frames: int) -> None:
         self.resets, self.lifted, self.lifted_max_m, self.vertices = [0.0] * frames, [0.0] * frames, [0.0] * frames, 0
 
     def add(self, reports: Sequence[FoldReport], vertices: int, *, visible: bool) -> None:
-        """Adds the frames' ``reports`` of a layer of so many ``vertices``. Of a hidden layer only the folds that began
-        anew count."""
+        """Adds a layer of so many ``vertices``, with its ``reports``, one for each frame. Of a hidden layer only the
+        folds that began anew count."""
         self.vertices += vertices if visible else 0
         for row, report in enumerate(reports):
             self.resets[row] += report.reset

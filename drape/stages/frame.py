@@ -74,12 +74,12 @@ def _at_once(plan: Plan) -> AtOnce | None:
 def drawn(
     batch: Batch, stages: AtOnce, took: Callable[[str, float], None] = lambda name, s: None
 ) -> Iterator[Batch] | None:
-    """Returns an iterator that yields ``batch`` after each frame, at last with the layers, memories and figures of
-    ``stages``.
+    """Returns an iterator that yields ``batch`` after each frame, or on a card after all frames, and at last the batch
+    with the layers, memories and figures of ``stages``.
 
     Returns None where the stages must run one after the other: cloth that was only lifted begins to fold, several
-    layers settle, or the network shares the frames out between threads. ``took`` is called with the name of each stage
-    and its share of the time [s].
+    layers settle, or the network shares the frames out between threads. ``took`` is called at the end with the name of
+    each of ``stages`` and the wall time [s] that it took in all frames.
     """
     lane, outfit = stages.network.lane, _outfit(batch.plan, stages)
     pasts = [

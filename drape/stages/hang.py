@@ -12,8 +12,8 @@ from drape.stages.stage import KeptConstants, Stage, StageSetup
 
 
 class Hang(Stage):
-    """The stage that moves the drawn mesh of a garment whose file is no single layer of cloth, and hats and shoes with
-    their bones."""
+    """The stage that moves the meshes that are drawn in place of the draped cloth. Where a garment's file is no single
+    layer of cloth, its mesh follows the cloth. Hats and shoes follow the body's bones."""
 
     name = "hang"
 

@@ -13,7 +13,8 @@ from drape.stages.stage import KeptConstants, Stage, StageSetup
 
 
 class Mantles(Stage):
-    """The stage that lays mantles over the arms in place of the network, which has learned nothing of such cloth."""
+    """The stage that shapes mantles, cloth that covers the arms and has no sleeves, by where the arms point. Its
+    vertices take the place of the network's, which has learned nothing of such cloth."""
 
     name = "mantles"
 

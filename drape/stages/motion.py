@@ -103,10 +103,12 @@ class Motion(Stage):
 
 
 def advance(engine: Engine, memories: Sequence[Memory], moments: Sequence[Moment]) -> list[Memory]:
-    """Returns each of ``memories`` after the next of ``moments``, that of the same body; the network runs once for all.
+    """Returns ``memories``, one for each body, after the next moment of each body in ``moments``. The network runs once
+    for all bodies.
 
-    A body begins anew, with zeros for state and code, where it jumps, or where its time goes back or leaps. A moment at
-    the time of the last one changes nothing. Motion counts from the third moment on.
+    A body begins anew, with zeros for state and code, where it jumps (``JUMP_M_S``), and where its time goes back or
+    forward by more than ``STEP_LIMIT_S``. A moment at the time of the last one changes nothing. Motion counts from the
+    third moment on.
     """
     after = [_seen(engine, memory, moment) for memory, moment in zip(memories, moments, strict=True)]
     moving = [i for i, memory in enumerate(after) if memory is not memories[i] and len(memory.moments) == 3]

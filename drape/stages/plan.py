@@ -41,7 +41,7 @@ class StageRules:
         return True
 
     def needs(self, plan: Plan) -> frozenset[str]:
-        """Returns which of "vertices", "jets" and "skin" it reads, and "fine" if it needs the subdivided meshes
+        """Returns which of "vertices", "jets" and "skin" this stage reads, and "fine" if it needs the subdivided meshes
         draped."""
         return frozenset()
 
@@ -54,7 +54,8 @@ class StageRules:
         return False
 
     def depends_on(self, plan: Plan) -> object:
-        """Returns a value that can be compared, made of ``plan``: memories are forgotten where it changes."""
+        """Returns a value, made of ``plan``, that can be compared. Where it differs between two plans, this stage's
+        memories are forgotten."""
         return None
 
     def rested(self, memory: Any, time_s: float) -> Any:

@@ -25,8 +25,8 @@ Source = Literal["shipped", "user"]
 
 @dataclass(frozen=True)
 class About:
-    """What an owner may change of a garment: its ``title``, None for the name it came with, and whether every key may
-    see it (``published``)."""
+    """What an owner may change of a garment: its ``title``, None for the name it came with, and whether every API key
+    may see it (``published``)."""
 
     title: str | None = None
     published: bool = False
@@ -46,8 +46,8 @@ class BodyInService(Protocol):
 class Entry:
     """A garment in service, which is also a scene of one layer.
 
-    ``path`` is its file, ``owner`` the key that uploaded it, None where the service asks for none. ``worn`` is the body
-    that it was cut for, None for the standard one.
+    ``path`` is its file. ``owner`` is the name of the API key that uploaded it, None for a shipped garment and where
+    the service asks for no keys. ``worn`` is the body that it was cut for, None for the standard one.
     """
 
     id: str
@@ -60,7 +60,7 @@ class Entry:
 
     @property
     def published(self) -> bool:
-        """Returns whether every key may see it."""
+        """Returns whether every API key may see the garment."""
         return self.about.published
 
     @property
@@ -69,7 +69,7 @@ class Entry:
         return self.about.title or self.garment.name
 
     def seen_by(self, viewer: str | None) -> bool:
-        """Returns whether the key ``viewer``, None for a client without a key, may see it."""
+        """Returns whether the API key of the name ``viewer``, None for a client without a key, may see the garment."""
         return self.owner is None or self.published or self.owner == viewer
 
     @property

@@ -23,7 +23,8 @@ SizeChoice = str | Sequence[str | None] | None  # one size for all layers, or on
 
 
 class Sizes:
-    """The tables of the garments that come in sizes, and the sizes that were worn."""
+    """The garments that come in sizes: a table of the sizes of each, and the garments that were made of the tables so
+    far."""
 
     def __init__(self, body: BodyModel, folder: Path, entries: Iterable[Entry], make: Make = call_here) -> None:
         """Reads the tables beside the garments in ``folder``, which were sewn on ``body``; raises ``ArtifactError``."""
@@ -37,7 +38,8 @@ class Sizes:
         self._making = threading.Lock()
 
     def measures(self, entry: Entry) -> Mapping[str, Mapping[str, float]]:
-        """Returns the measures [m] of the garment ``entry`` by size and then by name; empty if it has one size only."""
+        """Returns the measures [m] of the garment ``entry`` by size, such as "M", and then by name, such as "chest_m";
+        empty if it has one size only."""
         table = self._tables.get(entry.garment.digest)
         return {} if table is None else table.measures
 

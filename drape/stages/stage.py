@@ -83,8 +83,8 @@ class Stage(StageRules):
 
 
 class ClothStage(Stage, Generic[Constants]):
-    """A stage that moves cloth and remembers where it was. Its memories have ``at(time_s)``, which returns them as they
-    are then if nothing moves; its constants belong to a garment in a fabric."""
+    """A stage that moves cloth and remembers where it was. The method ``at(time_s)`` of a memory returns the memory as
+    it is at that time [s] if nothing moves until then. Constants belong to a garment in a fabric."""
 
     def __init__(self, setup: StageSetup, too_many: Callable[[Collection[Constants]], bool]) -> None:
         super().__init__(setup)
@@ -123,7 +123,8 @@ def carried(memories: Memories, before: Plan, after: Plan) -> Memories:
 
 
 class KeptConstants(Generic[Constants]):
-    """Constants by their keys. The ones that were not used for longest are dropped while ``too_many(all)`` is true.
+    """Constants by their keys. While ``too_many`` is true of all that are kept, the one that was not used for longest
+    is dropped; the last one stays.
 
     One thread makes the constants of a key, and others that want them wait for it.
     """

@@ -19,8 +19,8 @@ KEPT = 256  # constants of garments in fabrics, at most a megabyte each; what is
 
 
 class Swing(ClothStage[SwingConstants | None]):
-    """The stage that moves each layer's vertices by the swing of its nodes, times the knob; what lies near the skin
-    stays."""
+    """The stage that adds to each layer the swing of its nodes, a coarse mesh with mass (``drape.live.swing_step``),
+    times the motion knob. Vertices near the skin stay where they are."""
 
     name = "swing"
     kept = (SwingMemory,)

@@ -35,7 +35,8 @@ class Tier:
 
     Where nothing folds, as with jets, the network makes ``alone`` passes. None stands for all passes. ``coarse``: a
     coarse cloth takes the steps (``drape.live.two_level``), and without steps the cloth is only lifted off the skin.
-    ``figures`` are the measurements of ``benchmarks.tradeoff``.
+    ``figures`` are what ``benchmarks.tradeoff`` measured of the tier, by name, such as "gain" and "cpu_ms"; its
+    ``manifest_tiers`` has the names.
     """
 
     name: str
@@ -76,7 +77,8 @@ def read_tiers(rows: Sequence[Mapping[str, Any]]) -> tuple[Tier, ...]:
 
 
 def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: TierSettings, pass_count: int) -> DrapeOptions:
-    """Returns ``options`` without a tier, its numbers of passes and of steps of folds filled in, and who takes these.
+    """Returns ``options`` with the tier replaced by what it stands for: ``tier`` is None, and ``passes``, ``folds``,
+    ``safe_folds`` and ``coarse`` are filled in. ``passes`` is None for all passes.
 
     A number that the client named wins, then its tier, then the service's ``settings``. ``pass_count`` is
     ``Engine.pass_count``; a tier gets no more passes. Refuses (``InputError``) the tier exact, which is a job.

@@ -17,8 +17,9 @@ Took = Callable[[str, float], None]
 def walk(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: None) -> Iterator[Batch]:
     """Yields the batch of ``inputs`` under ``plan`` after every step; the last one is the result.
 
-    A step is a frame in one call, a stage, or a part of a long stage: others may compute between steps. The bodies of
-    the inputs may differ in shape. ``took`` is called with the name of each stage and the time [s] that it took.
+    A step is one frame where the engine runs the first stages in one call, and otherwise a stage or a part of a long
+    one. Between steps other batches may be computed. The bodies of the inputs may differ in shape. ``took`` is called
+    with the name of each stage and the wall time [s] that it took in all frames.
     """
     batch = Batch.of(plan, inputs)
     first, rest = at_once(plan), plan.stages
@@ -31,7 +32,7 @@ def walk(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: N
 
 
 def by_stages(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: None) -> Iterator[Batch]:
-    """Yields the batch as ``walk`` does, but never in one call a frame; the bits are the same."""
+    """Yields the batch as ``walk`` does, but the engine runs no stages in one call; the bits are the same."""
     return _through(Batch.of(plan, inputs), plan.stages, took)
 
 

@@ -30,8 +30,8 @@ def of_rig(poses: np.ndarray) -> bool:
 
 
 def frame_bytes(poses: np.ndarray) -> int:
-    """Returns how many bytes of a CLIP message a frame of ``poses`` (F, 24, 3) or (F, N, 4) takes, with a
-    translation."""
+    """Returns how many bytes one frame takes in a CLIP message of ``poses`` (F, 24, 3) or (F, N, 4), its translation
+    included."""
     return 8 * (4 * poses.shape[1] + 3) if of_rig(poses) else FRAME_BYTES
 
 

@@ -23,8 +23,8 @@ _HEADER = wire.record((*wire.PREFIX, ("document_bytes", "u32", 1)))
 def with_hung(
     document: Mapping[str, Any], arrays: Sequence[np.ndarray], hung: Sequence[np.ndarray]
 ) -> tuple[dict[str, Any], list[np.ndarray]]:
-    """Returns ``document`` with the sizes of the arrays ``hung`` under "hung", and ``arrays`` followed by these arrays,
-    flat. By ``hung``, which are ``bound.Drawer.arrays``, a drawn mesh hangs on the cloth."""
+    """Returns what ``pack_folds`` takes for a cloth on which a drawn mesh hangs. ``hung`` are ``bound.Drawer.arrays``
+    of the mesh: their sizes join ``document`` under "hung", and the arrays themselves, flat, follow ``arrays``."""
     flat = [np.ascontiguousarray(array).reshape(-1) for array in hung]
     return {**document, "hung": [array.size for array in flat]}, [*arrays, *flat]
 

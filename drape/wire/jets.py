@@ -33,10 +33,10 @@ HEADER_BYTES = _HEADER.size
 class JetFrame:
     """One draped frame as posed patches. ``sequence`` and ``client_time_s`` are those of its pose.
 
-    ``jet`` (K, 45) [patch scales] is the change of each patch's rest surface in its frame, the push-out included;
-    ``rotation`` (K, 3, 3) and ``centre`` (K, 3) [m], relative to ``root`` (3,) float64 [m], are the frames. Vertices
-    that are made of it lie at most ``left_m`` from where the push-out put them. Other numbers are those of
-    ``drape.wire.messages.Frame``.
+    ``jet`` (K, 45) [patch scales] is the change of each patch's rest surface in the patch's frame, the push-out
+    included. ``rotation`` (K, 3, 3) and ``centre`` (K, 3) [m], relative to ``root`` (3,) float64 [m], are the patches'
+    posed frames. Vertices that a client makes of the jets lie at most ``left_m`` [m] from where the push-out put them.
+    Other numbers are those of ``drape.wire.messages.Frame``.
     """
 
     sequence: int
@@ -78,7 +78,8 @@ def message_bytes(patches: int) -> int:
 
 
 def pack_jets(frame: JetFrame) -> bytes:
-    """Returns the JETS message of ``frame``: header, rows of 16-bit steps, rows of 8-bit steps."""
+    """Returns the JETS message of ``frame``: the header, then for each patch a row of 16-bit steps (centre, quaternion
+    and the coefficients ``FINE``), then for each patch a row of 8-bit steps (the coefficients ``COARSE``)."""
     count = len(frame.jet)
     check_shape("jet", frame.jet, (None, jets.FULL_COUNT))
     low, step = np.empty(jets.FULL_COUNT, np.float32), np.empty(jets.FULL_COUNT, np.float32)

@@ -24,10 +24,12 @@ MESH_HEADER_BYTES, BODY_HEADER_BYTES = _MESH.size, _BODY.size
 
 
 def pack_mesh(vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray, uv_faces: np.ndarray) -> bytes:
-    """Returns the MESH message of a garment: its ``faces`` (F, 3), and texture coordinates for its vertices and for the
-    copies of vertices at seams. ``uv`` (T, 2) with corners ``uv_faces`` (F, 3) may be empty.
+    """Returns the MESH message of a garment of V vertices: its triangles ``faces`` (F, 3), and a texture coordinate for
+    each vertex. ``uv_faces`` (F, 3) are the rows of ``uv`` (T, 2) that the corners of ``faces`` have, both empty
+    without texture coordinates. A vertex with several rows, as at a seam, is copied for each further one.
 
-    ``vertices`` (V, 3) [m] at rest give the scale of ``uv``; they are not in the message, since frames bring them.
+    The message tells how many metres a unit of ``uv`` is, which follows from ``vertices`` (V, 3) [m] at rest. These are
+    not in the message, since frames bring them.
     """
     prefix = (wire.MAGIC, wire.WIRE_VERSION, wire.MESH, 0, 0, len(vertices))
     if not len(uv):

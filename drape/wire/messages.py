@@ -164,7 +164,8 @@ class Answer:
 
 
 def frame_flags(pushed: bool, stepped: bool, novelty: float) -> int:
-    """Returns the field ``flags`` of a FRAME or JETS message, without FLAG_BYTES; ``novelty`` in steps of 1/32."""
+    """Returns the field ``flags`` of a FRAME or JETS message: the bits ``FLAG_PUSHED``, ``FLAG_STEPPED`` and
+    ``FLAG_UNLIKE``, and from bit ``NOVELTY_SHIFT`` on ``novelty`` in steps of 1/32. ``FLAG_BYTES`` is left 0."""
     steps = min(255, round(NOVELTY_STEPS * min(novelty, 255.0)))
     return FLAG_PUSHED * pushed | FLAG_STEPPED * stepped | FLAG_UNLIKE * (novelty > 1.0) | steps << NOVELTY_SHIFT
 
@@ -230,8 +231,9 @@ def message_kind(message: bytes) -> int:
 
 
 def quantise(positions: np.ndarray, count: int = STEP_COUNT) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns ``positions`` (V, n) as steps (V, n) uint16 from 0 to ``count`` in the box of its columns, the box's low
-    corner (n,) and the size of a step (n,), float32 in the unit of ``positions``."""
+    """Returns ``positions`` (V, n) in whole steps between the least and the greatest number of each column: the steps
+    (V, n) uint16 from 0 to ``count``, the least numbers (n,), and the size of a step in each column (n,), both float32
+    in the unit of ``positions``."""
     # By columns, a copy: along rows of three NumPy takes eight times as long.
     columns = np.array(positions.T, dtype=np.float32, order="C")
     low = columns.min(axis=1)
