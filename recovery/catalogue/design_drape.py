@@ -57,8 +57,12 @@ QUICK = BuildOptions(coarse_m=0.06, fine_m=0.045, coarse_steps=12, fine_steps=4,
 
 @dataclass(frozen=True, eq=False)
 class SewnGarment:
-    """A sewn ``design``: ``nodes`` [m] (N, 3) of its ``mesh`` at rest on the body in its T-pose, and ``figures`` by
-    name on how it went, for JSON."""
+    """A sewn ``design``: ``nodes`` [m] (N, 3) of its ``mesh`` at rest on the body in its T-pose.
+
+    ``figures`` are for JSON: counts of "nodes", "triangles" and "panels"; "edge_mean_mm", "seam_gap_mm" and
+    "clearance_mm", the least distance from the skin; "steps" on the coarse and the fine mesh, "last_move_mm" and
+    "at_rest"; ``stretch_figures``; "cpu_seconds" of the processor.
+    """
 
     design: Design
     mesh: PatternMesh
@@ -132,8 +136,8 @@ def drape_design(
 
 
 def start_positions(design: Design, mesh: PatternMesh, distance: Distance) -> np.ndarray:
-    """Returns where panel vertices begin before sewing, [m] (P, 3): bent panels round their limbs, flat ones moved
-    outward until clear of the body."""
+    """Returns where panel vertices begin before sewing, [m] (P, 3): panels of ``Design.wraps`` are bent, flat
+    ones moved outward until clear of the body."""
     positions = move_clear(mesh, mesh.placed(), distance, leave=design.wraps)[0]
     for number, panel in enumerate(design.pattern.panels):
         if panel.name in design.wraps:

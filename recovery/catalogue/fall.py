@@ -75,7 +75,7 @@ class SelfContact:
         self._keys = np.repeat(np.arange(self.count), np.diff(ring.indptr)) * self.count + ring.indices
 
     def springs(self, x: np.ndarray) -> SpringForces:
-        """Returns the springs that push the near pairs of nodes at ``x`` [m] (V, 3) apart, zero at fixed nodes."""
+        """Returns the springs that push the pairs of ``near`` apart, nodes at ``x`` [m] (V, 3); zero at fixed nodes."""
         near = self.near(x)
         push = self.stiffness * (self.thickness_m - near.gap_m)
         along = near.weights[:, :, None] * near.normals[:, None]  # (n, 4, 3): derivative of the gap
@@ -159,8 +159,8 @@ class Fall:
 
 
 def hinge_bending(design: Design, mesh: PatternMesh, model: ClothModel, fabric: Fabric) -> np.ndarray:
-    """Returns the bending rigidity [J] (H,) of the hinges by their direction to the grain, at a seam the mean of both
-    panels.
+    """Returns the bending rigidity [J] (H,) of the hinges of ``model``, which follows from their direction to the
+    grain; at a seam it is the mean of both panels.
 
     Hems and bound openings are ``HEM_BENDING`` times as stiff.
     """
@@ -174,7 +174,7 @@ def hinge_bending(design: Design, mesh: PatternMesh, model: ClothModel, fabric: 
 
 
 def seam_angles(design: Design, mesh: PatternMesh, model: ClothModel) -> np.ndarray:
-    """Returns the angle [rad] (H,) of every hinge at rest: zero except at folded seams."""
+    """Returns the angle at rest [rad] (H,) of every hinge of ``model``: zero but at seams that ``design`` folds."""
     angles = np.zeros(len(model.hinge_nodes))
     for number, name in enumerate(design.seam_names):
         if name in design.seam_angles:

@@ -51,7 +51,8 @@ APART_M = {"space": 0.04, "panel": 0.02}  # least distance of rows that are adde
 
 
 class GradedSize(NamedTuple):
-    """A size on M's mesh: how far its nodes lie from M's [m] (N, 3), and its panel vertices [m] (P, 2)."""
+    """A size on the mesh of size M: ``moved`` [m] (N, 3) leads from M's nodes at rest to its own, and ``panels`` [m]
+    (P, 2) are its panel vertices, each in the frame of its panel."""
 
     moved: np.ndarray
     panels: np.ndarray
@@ -102,8 +103,8 @@ def let_designs_fall(
     report: Say,
     options: BuildOptions,
 ) -> dict[str, GradedSize]:
-    """Lets ``designs``, one for each size, fall on ``body``. Returns for every size but M, by its name, its panels and
-    how far its cloth lies from M's, on the mesh ``fine`` of M.
+    """Lets ``designs``, by the names of their sizes, fall on ``body``. Returns the ``GradedSize`` of every size but M
+    by its name, on the mesh ``fine`` of M.
 
     ``garment`` is size M as the service has it, ``skin`` the body's signed distance. ``report`` is called with a line
     on each fall.
@@ -129,8 +130,9 @@ def let_designs_fall(
 def table_of(
     garment: Garment, body: BodyModel, panels: np.ndarray, graded: dict[str, GradedSize], *, report: Say
 ) -> SizeTable:
-    """Returns the table whose splines give back the sizes ``graded``, within ``MOVED_WITHIN_M`` and ``GROWN_WITHIN_M``
-    as far as its points reach.
+    """Returns the table whose splines give back the sizes ``graded``, by name. Errors are below ``MOVED_WITHIN_M`` for
+    nodes and ``GROWN_WITHIN_M`` for panels, unless that takes more than ``MOST_VERTICES`` points, or
+    ``MOST_CORNERS`` in a panel.
 
     ``panels`` [m] (P, 2) are the panel vertices of M, in the order of the garment's uv. ``report`` gets a line on each
     size.
@@ -189,10 +191,10 @@ def table_of(
 def choose_points(
     points: np.ndarray, values: np.ndarray, field: Field, *, step: float, within: float, most: int, apart: float
 ) -> np.ndarray:
-    """Returns the rows (A,) of ``points`` (N, D) from which ``field`` gives all ``values`` (N, C) back with an error
-    below ``within``, or as well as ``most`` rows do. Values are stored in whole ``step``s.
+    """Returns numbers (A,), sorted, of rows of ``points`` (N, D). From the ``values`` (N, C) of these rows alone, in
+    whole ``step``s, ``field`` gives back all values with an error below ``within``; or as well as ``most`` rows can.
 
-    The first rows are far from each other. Then those whose values are missed most are added, a few at a time,
+    The first rows are far from each other. Then rows with the largest errors are added, a few at a time and at least
     ``apart`` from each other.
     """
     rows = [int(points[:, 1].argmax())]

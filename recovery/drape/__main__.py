@@ -105,8 +105,8 @@ def check_worn(draped: Draped, start: DrapeStart) -> None:
 
 
 def left_words(draped: Draped) -> str:
-    """Returns sentences on drapes that did not come to rest and on nodes in the body, each with its cure; empty if all
-    is right.
+    """Returns sentences on drapes that did not come to rest and on nodes in the body, with what to try then; empty if
+    there are neither.
 
     A node of cloth that hangs on the skin is 2 to 4 mm off it.
     """

@@ -91,7 +91,10 @@ class Draped:
     """A garment at ``rest`` in the T-pose and, if a pose was asked for, ``posed`` in that; with its ``mesh``, the
     ``placed`` panels and the ``sewn`` shape that came before.
 
-    ``figures`` are numbers and words by name on how it went, for JSON; units stand in the names.
+    ``figures``, for JSON: ``drape_figures`` under "rest" and, with a pose, "posed"; ``stretch_figures`` under "sewn";
+    sentences on exchanged stitches under "repaired"; "edge_length_m" that was asked for, numbers of "nodes",
+    "triangles" and "belt_nodes"; "axes", "lift_cm", "hangs_from" and "sleeves_turned_deg" as in ``PlacedPanels``;
+    "seam_gap_mm", and "top_sank_cm", by which the highest node sank.
     """
 
     mesh: PatternMesh
@@ -204,10 +207,11 @@ def drape_in_pose(
 
 
 def drape_figures(mesh: PatternMesh, drape: SettledDrape, skin: SignedDistance) -> dict[str, Any]:
-    """Returns the figures by which a drape can be trusted, by name with the unit: force left, clearance, edges in the
-    body, stretch, steps.
+    """Returns the figures by which a drape can be trusted: "converged", "force_left_n", "newton_iterations", "steps",
+    "clearance_mm", "edges_in_body_pct" and those of ``stretch_figures``.
 
-    Distances are from the bare ``skin``, also where this was grown.
+    The clearance is the least distance of a node from the skin, negative in the body. An edge is in the body if its
+    middle is. Both are from the bare ``skin``, also where this was grown.
     """
     distance = in_numpy(bare(skin))
     edges = meshes.unique_edges(mesh.faces)
@@ -225,8 +229,8 @@ def drape_figures(mesh: PatternMesh, drape: SettledDrape, skin: SignedDistance) 
 
 
 def stretch_figures(stretch: np.ndarray) -> dict[str, float]:
-    """Returns median and 99th percentile [%] of the strain of triangles along the direction of largest stretch, by
-    name. ``stretch`` (F, 2) are their principal stretches, the larger first."""
+    """Returns "stretch_median_pct" and "stretch_p99_pct": median and 99th percentile of the strain of triangles along
+    their direction of largest stretch. ``stretch`` (F, 2) are their principal stretches, the larger first."""
     larger = 100.0 * (stretch[:, 0] - 1.0)
     return {
         "stretch_median_pct": round(float(np.median(larger)), 2),

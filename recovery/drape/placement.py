@@ -237,7 +237,7 @@ def round_spread_arms(
 
     ``openings`` has the nodes (n,) of each cuff by the limb's name, ``joints`` the body's joints [m] (3,) by name. A
     sleeve points to where its cloth ends in its cuff. One that points elsewhere than its arm is turned about the z axis
-    and moved, in that plane, to its armhole. Without such a sleeve the turn is 0.
+    and moved in x and y to its armhole. Without such a sleeve the turn is 0.
     """
     plane, panels, largest = mesh.placed() @ [1.0, 1.0j, 0.0], list(mesh.pattern.panels), 0.0
     for side in (limb.removesuffix("arm") for limb in openings if limb.endswith("arm")):
@@ -270,7 +270,7 @@ def read_pose(text: str) -> np.ndarray:
     sample, or a JSON file.
 
     The JSON holds 72 numbers, or an object with them under "pose". Translations are left out. Raises ``NotFound`` for
-    no such file, ``MotionError`` for a frame that the clip does not have or another content.
+    no such file, ``MotionError`` for a frame that the clip does not have and for JSON that is no pose.
     """
     name, _, frame_text = text.rpartition(":")
     if not (name and frame_text.lstrip("-").isdigit()):

@@ -47,8 +47,11 @@ class SettledDrape(NamedTuple):
 
 
 def topmost_opening(faces: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Returns the nodes (n,), sorted, of the garment's highest border within ``BELT_BAND_M`` of its top, which a
-    waistband or an elastic holds; empty for a closed mesh. ``nodes`` [m] (N, 3), y up."""
+    """Returns the numbers (n,), sorted, of the nodes that a waistband or an elastic holds; empty for a closed mesh.
+
+    Of all borders of the garment the one with the greatest mean height is taken. Its nodes that lie less than
+    ``BELT_BAND_M`` below its own highest node are held. ``faces`` (F, 3), ``nodes`` [m] (N, 3), y up.
+    """
     loops = meshes.boundary_loops(faces)
     if not loops:
         return np.zeros(0, dtype=np.int64)
@@ -69,10 +72,11 @@ def settle_at_rest(
 ) -> SettledDrape:
     """Returns the garment at rest under its weight, from sewn ``nodes`` [m] (N, 3) near it, without friction.
 
-    ``held`` are numbers (n,) of nodes that stay where they are. With "belt" it first closes round the body without
-    weight, and then its topmost opening is held there. ``iteration_limit`` is that of Newton's method; with 0 only the
-    quasi-static steps are made. The report says converged if no node is left with a force above ``TOLERANCE_N``. Raises
-    ``InputError`` for a garment that fell off: its highest node ends below the height ``lowest_top_m`` [m].
+    ``held`` are numbers (n,) of nodes that stay where they are, None for none. With "belt" the garment first closes
+    round the body without weight, and then its ``topmost_opening`` is held there. ``iteration_limit`` is that of
+    Newton's method; with 0 only the quasi-static steps are made. The report says converged if no node is left with a
+    force above ``TOLERANCE_N``. Raises ``InputError`` for a garment that fell off: its highest node ends below the
+    height ``lowest_top_m`` [m].
     """
     contact = SkinContact(body, friction=0.0)
     steps = 0
@@ -104,11 +108,11 @@ def to_rest(
     tolerance_n: float = TOLERANCE_N,
     iteration_limit: int = ITERATION_LIMIT,
 ) -> tuple[ClothState, Report]:
-    """Returns the drape near ``start`` and how it ended; if none comes to rest, the shape on the way with the least
-    force.
+    """Returns the drape at rest near ``start``, and how the search for it ended. If none is found, the shape on the way
+    with the least force is returned.
 
-    Newton's method runs first, then implicit steps from rest and Newton's method after them; the report counts the
-    iterations of all.
+    Newton's method runs first. If it fails, implicit steps from rest and Newton's method again follow. The report
+    counts the iterations of all.
     """
     total = 0
 

@@ -40,7 +40,7 @@ class Belt(NamedTuple):
     waist.
 
     ``edges`` (H, 2) are the panel vertices at the ends of the edge from each node to the next. The nodes follow the
-    line in ``direction`` (1 or -1); ``origin_m`` [m] is the place along it at which their mean lies.
+    line in ``direction`` (1 or -1). Their lengths along it, from its first point, are ``origin_m`` [m] on average.
     """
 
     held: np.ndarray
@@ -71,8 +71,8 @@ def belt_on(mesh: PatternMesh, nodes: np.ndarray, held: np.ndarray, line: np.nda
     """Returns the belt of the nodes ``held`` (H,) of ``mesh`` at ``nodes`` [m] (N, 3), laid on the closed ``line`` [m]
     (m, 3).
 
-    On average the held nodes stay where they are nearest to the line. None if they are not a whole border, or do not go
-    round the line once.
+    Along the line each node keeps its share of the pattern's waist. All are shifted until they lie, on average, at the
+    points of the line nearest to them. None if they are not a whole border, or do not go round the line once.
     """
     loop = next((loop for loop in meshes.boundary_loops(mesh.faces) if set(loop) == set(held)), None)
     if loop is None:
@@ -110,10 +110,10 @@ def hold_as_target(
 ) -> Draped:
     """Returns ``draped`` with the nodes that its belt holds laid on the waist of the target, and the others settled.
 
-    ``there`` are the target's contours; ``matches`` pair those of the drape with them. All nodes move by the offset of
-    both waists' centres. The held ones then go onto the target's, each as far along it as it is along the pattern's
-    waist; the others settle round ``skin``, the body's distance in the drape's pose. Returns ``draped`` itself without
-    a belt or a match, or if the garment does not come to rest so.
+    ``there`` are the target's contours; ``matches`` pair those of the drape with them. The whole garment is first
+    moved, so that both waists have one centre. Then the held nodes are laid on the target's waist as by ``belt_on``,
+    or where that gives None, each at the nearest point. The others settle round ``skin``, the body's distance in the
+    drape's pose. Returns ``draped`` itself without a belt or a match, or if the garment does not come to rest so.
     """
     waists = _waist(draped, matches, there)
     if waists is None:
@@ -144,8 +144,8 @@ def _waist(draped: Draped, matches: list[Match], there: list[Contour]) -> tuple[
 
 
 class RestDrape:
-    """The drape at rest of ``mesh`` on ``body`` as a function of panel vertices; ``held`` (n,) nodes stay where they
-    are, those of a ``belt`` go with it.
+    """The drape at rest of ``mesh`` on ``body`` as a function of panel vertices. The nodes ``held`` (n,) stay where
+    they are. With a ``belt`` they are those that it holds, and they lie at ``Belt.places``.
 
     There is no friction, so the shape depends on the panels and not on the way there, as long as it stays in one basin.
     """
@@ -185,19 +185,19 @@ class RestDrape:
         return state.x, report
 
     def begun(self, nodes: np.ndarray) -> np.ndarray:
-        """Returns where a search begins, [m] (N, 3), that starts from the drape at ``nodes`` (N, 3): there."""
+        """Returns the nodes [m] (N, 3) at which a search from a drape at ``nodes`` (N, 3) begins: the same."""
         return nodes
 
     def ended(self, mesh: PatternMesh, nodes: np.ndarray) -> np.ndarray:
-        """Returns where the cloth of ``mesh`` lies, [m] (N, 3), after a search has ended at ``nodes`` (N, 3): there."""
+        """Returns the nodes [m] (N, 3) of ``mesh`` that a search ending at ``nodes`` (N, 3) gives: the same."""
         return nodes
 
     def sensitivity(self, rest: Tensor, nodes: np.ndarray, moves: np.ndarray) -> np.ndarray:
         """Returns the derivatives (N, 3, Z) of the drape at ``nodes`` [m] (N, 3) along Z ``moves`` (P, 2, Z) of the
         panel vertices ``rest`` [m] (P, 2).
 
-        One factorisation serves all: the adjoint's scalar is linear in its weights, so its derivative by them is the
-        right side of a direction.
+        One factorisation serves all moves. What ``ImplicitProblem.adjoint`` returns is linear in its weights, so its
+        derivative by them gives the right side for each move.
         """
         x = torch.from_numpy(np.ascontiguousarray(nodes))
         state = ClothState(x, torch.zeros_like(x))

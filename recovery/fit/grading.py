@@ -71,8 +71,8 @@ def contour_edges(mesh: PatternMesh, contour: Contour) -> list[EdgeRef]:
 def grade(
     mesh: PatternMesh, nodes: np.ndarray, contours: list[Contour], matches: list[Match], symmetries: Symmetries
 ) -> Graded:
-    """Returns the pattern of ``mesh`` graded so that ``contours`` of its drape at ``nodes`` [m] (N, 3) get the lengths
-    and places of their ``matches``.
+    """Returns the pattern of ``mesh`` graded: ``contours`` of its drape at ``nodes`` [m] (N, 3) get, as nearly as
+    possible, the lengths and places of the target's contours, which ``matches`` tell.
 
     ``symmetries`` of the pattern stay. Raises ``InputError`` where a panel would shrink below half or grow beyond twice
     its size.
@@ -248,11 +248,11 @@ def _frame(mesh: PatternMesh, nodes: np.ndarray, panel: int) -> np.ndarray:
 def in_other_size(
     pattern: Pattern, base: str, body: BodyMeasurements, settings: Mapping[str, float], size: str
 ) -> Pattern:
-    """Returns ``pattern``, which fits ``body`` as its size M, in ``size``. Its ``base`` is called so and was drafted
-    for ``body`` with ``settings``.
+    """Returns ``pattern``, which fits ``body`` as its size M, in ``size``. ``base`` is the name of the base that it was
+    made from, drafted for ``body`` with ``settings`` by name.
 
-    A corner moves by the difference of both sizes of the base, then as little as keeps the ratios of seams and the
-    base's symmetries. Raises ``InputError`` where the base is no design that grows, or does not come in that size.
+    A corner moves as far as that of the base moves from M to ``size``, and then as little as restores the ratios of
+    seams and the base's symmetries. Raises ``InputError`` for a base that is a file, or has no such size.
     """
     if base not in BASES:
         raise InputError(

@@ -72,8 +72,8 @@ def mean_curvature(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def fold_weights(curvature: np.ndarray) -> np.ndarray:
-    """Returns the weights min(1 + |H| / H0, 5) (V,) of equation 7 for the ``curvature`` |H| [1/m] (V,), where H0 is
-    ``FOLD_PER_M``."""
+    """Returns the weights min(1 + |H| / H0, 5) (V,) for the ``curvature`` |H| [1/m] (V,), where H0 is ``FOLD_PER_M``
+    (equation 7 of the paper)."""
     return np.minimum(1.0 + curvature / FOLD_PER_M, LARGEST_WEIGHT)
 
 
@@ -82,8 +82,9 @@ class TargetSurface:
     """A target surface: ``vertices`` [m] (V, 3), ``faces`` (F, 3), its open ``contours``, and the fold ``weights``
     (V,).
 
-    ``points`` (3 F, 3) [m] lie in its triangles; ``shares`` (3 F,) are their parts of the area, times their weights.
-    ``known`` (F,) is 1 for faces that were seen and 0 for those that close a hole, which have no weight.
+    ``points`` (3 F, 3) [m] are three in each triangle, face by face. ``shares`` (3 F,) are the shares of the known area
+    that these stand for, times the fold weights there. ``known`` (F,), float, is 1 for faces that were seen and 0 for
+    those that close a hole, which have no share.
     """
 
     vertices: np.ndarray

@@ -89,7 +89,7 @@ class Fitted:
 
     ``history`` (I + 1, 4): total loss, surface, contours [m^2] of every accepted step, and how often it was halved or
     damped. ``finished`` is False if the search ended early, because no step lessened the loss or came to rest without
-    folds. At the end of the time (``recovery.progress``) the best so far is given, and it is True.
+    folds. It is True if the time limit (``recovery.progress``) ended the search; the best so far is given then.
     """
 
     pattern: Pattern

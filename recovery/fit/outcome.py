@@ -31,8 +31,8 @@ class Round:
 
     ``sewn``: the fitted pattern sewn anew from flat panels; the next round starts from that. ``sewn_m2`` [m^2]: the
     squared distance of that from the target, both directions summed. If nothing could be sewn they are None and
-    infinite. ``edge_length_m`` [m] is the mesh's. ``seconds`` by the clock and ``processor_s`` over all threads include
-    the mesh and the drape at its start; those of the first round include base and grading.
+    infinite. ``edge_length_m`` [m] is the mesh's. ``seconds`` (clock time) and ``processor_s`` (processor time of all
+    threads) include the making of the mesh and of the drape at the start, in the first round also base and grading.
     """
 
     start: Draped
@@ -53,8 +53,8 @@ class Round:
 
     @cached_property
     def surface_m2(self) -> float:
-        """The squared distance [m^2] of its fitted drape from the target, both directions summed, as the loss has
-        it."""
+        """The squared distance [m^2] of its fitted drape from the target, both directions summed
+        (``Objective.surface``)."""
         return float(self.search.objective.surface(torch.from_numpy(self.fitted.nodes)))
 
     @property
@@ -76,9 +76,9 @@ class Recovered:
     ``fitted``.
 
     ``start``, ``matches``, ``search``, ``fitted``, ``edge_length_m`` and ``sewn`` are those of the best of the
-    ``rounds``, by ``Round.rank``. ``left`` says which rounds were left out and why; it is empty for none, and where
+    ``rounds``, by ``Round.rank``. ``left`` says which rounds were left out and why; it is empty if none were, or if
     they would find the same. ``matches`` pair the start's contours with the target's; ``holes`` are the numbers of the
-    target's contours without a partner. ``fabric`` is the name of the drape's.
+    target's contours without a partner. ``fabric`` is the name of the fabric of all drapes.
     """
 
     symmetries: Symmetries
@@ -102,13 +102,13 @@ class Recovered:
 
 
 def clocks() -> np.ndarray:
-    """Returns the time [s] (2,) of a steady clock, and the processor time of this process over all threads."""
+    """Returns two times [s] as an array (2,): that of a steady clock, and the processor time of all threads."""
     return np.array([time.perf_counter(), time.process_time()])
 
 
 def why_left(rounds: Sequence[Round], start: Draped) -> str:
-    """Returns why no further search begins at ``start``, after the ``rounds`` so far: ``NOT_AT_REST``, ``SAME`` if it
-    would find the same as the last one, or an empty text if one does."""
+    """Returns why no further search begins at ``start``, after the ``rounds`` so far: ``NOT_AT_REST``, or ``SAME`` if
+    it would find the same as the last one. The text is empty if a search does begin."""
     if not start.at_rest:
         return NOT_AT_REST
     last = rounds[-1]

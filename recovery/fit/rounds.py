@@ -50,10 +50,10 @@ class RoundsOptions:
     """The options of a recovery: ``drape`` of every garment on the way, ``fit`` of every search, whose loss doubles
     where its unknowns are ``reach_m`` [m] from the graded base.
 
-    ``meshes_m`` are the edge lengths [m] of the rounds, by default three times that of ``drape``, or once 3 cm where a
-    seam gathers; Adam's steps are taken in the first round alone. Each round writes a ``state_file`` of its own,
-    numbered from the second on, and goes on from it. Raises ``InputError`` for a reach that is not positive, and for no
-    rounds.
+    ``meshes_m`` are the edge lengths [m] of the rounds. By default there are ``ROUNDS`` with that of ``drape``, or a
+    single one for a garment that springs lay on its target (``is_laid``), whose edges have at most ``EDGE_M``. Adam's
+    steps are taken in the first round alone. Each round writes a ``state_file`` of its own, numbered from the second
+    on, and goes on from it. Raises ``InputError`` for a reach that is not positive, and for no rounds.
     """
 
     drape: SewingOptions = field(default_factory=SewingOptions)

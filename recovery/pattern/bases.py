@@ -40,7 +40,7 @@ class DressCut(TopCut):
 
     @property
     def ease_m(self) -> dict[str, float]:
-        """Lengths [m] that are added to the body's girths, by part."""
+        """Lengths [m] that are added to the body's girths: "chest", "waist", "hips", and with sleeves "arm"."""
         return super().ease_m | {"waist": self.waist_ease_m, "hips": self.hip_ease_m}
 
 

@@ -20,9 +20,9 @@ from recovery.pattern.sewing_pattern import Edge, EdgeKind, Panel, Pattern
 class Controls:
     """The K control points of a pattern, panel by panel, in the order of the outline.
 
-    ``positions`` [m] (K, 2) lie in the panels' frames; ``panel`` (K,) is the number of the panel; ``edge`` (K,) that of
-    the edge that starts at the point or that the handle shapes; ``handle`` (K,) is 0 for a corner, 1 or 2 for a handle
-    of a Bezier edge. Curves without a handle here follow their chord; arcs always do.
+    ``positions`` [m] (K, 2) lie in the panels' frames; ``panel`` (K,) is the number of the panel; ``edge`` (K,) is the
+    number of the panel's edge that a corner begins, or to which a handle belongs; ``handle`` (K,) is 0 for a corner, 1
+    or 2 for a handle of a Bezier edge. Curves without a handle here follow their chord; arcs always do.
     """
 
     positions: np.ndarray

@@ -26,8 +26,8 @@ class Design:
 
     Edges whose name in ``edge_names`` begins with "hem" are turned up, those with "opening" are bound. ``seam_names``
     has one name per stitch. By seam name, ``eased`` is the share by which the second edge is longer than the first, and
-    ``seam_angles`` [rad] the fold at rest. Panels in ``wraps`` start bent, those in ``over`` lie over others.
-    ``ease_m`` [m] is what was added to the body's girths, by part.
+    ``seam_angles`` [rad] the fold at rest. Panels named in ``wraps`` start bent, those in ``over`` lie over others.
+    ``ease_m`` [m] is what was added to the body's girths, by "chest", "arm", "waist" and "hips".
     """
 
     pattern: Pattern
@@ -76,9 +76,10 @@ class Assembly:
         self.seam_names.append(name)
 
     def sew_sides(self, parts: Sequence[str], front: Drafted, back: Drafted) -> None:
-        """Adds seams of each of ``parts`` of the front with the same part of the back, on both sides of the wearer.
+        """Adds a seam of front and back for each of ``parts``, such as "side", on both sides of the wearer.
 
-        The wearer's left is on the viewer's right in front and on the viewer's left behind.
+        The sides of panels are called PART_left and PART_right as their viewer sees them. The wearer's left is on the
+        viewer's right in front and on the viewer's left behind.
         """
         for seen, worn in (("right", "left"), ("left", "right")):
             for part in parts:
@@ -150,8 +151,8 @@ class Dart:
 
 
 def waist_with_darts(name: str, start: Point, end: Point, darts: Sequence[Dart]) -> list[Side]:
-    """Returns the sides of a panel from ``start`` to ``end`` [m]: pieces of waist NAME_0, NAME_1, ... with a dart
-    between each two.
+    """Returns the sides of a panel from ``start`` to ``end`` [m]: pieces of waist NAME_0, NAME_1, ..., and after piece
+    number i the legs NAME_dart_i_in and NAME_dart_i_out of a dart.
 
     The distance from start to end is that of the sewn waist and the darts. Raises ``InputError`` where darts overlap.
     """

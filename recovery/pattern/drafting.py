@@ -62,12 +62,12 @@ def draft(
     flip: bool = False,
     apart_m: float = 0.0,
 ) -> Drafted:
-    """Returns the panel called ``name`` bounded by ``sides``, counter-clockwise, drawn in its place in the world as its
-    viewer sees it.
+    """Returns the panel called ``name`` bounded by ``sides``, which run counter-clockwise. Their points [m] are where
+    the panel hangs, x to the right of a viewer who faces its outside, y up.
 
     ``rotation`` is ``FRONT`` or ``BACK``, ``z`` [m] the panel's place along the world's z. ``flip`` mirrors left and
-    right; ``apart_m`` [m] moves it to the viewer's right, or flipped to the left. The panel's own origin is the middle
-    of the box of its corners.
+    right. ``apart_m`` [m] moves the panel to the viewer's right, a flipped one to the left. The panel's own origin is
+    the middle of the box of its corners.
     """
     if flip:
         sides = mirror(sides)
@@ -167,12 +167,12 @@ class Tube:
 
 @dataclass(frozen=True)
 class Flutes:
-    """The shape of a ring, cut as part of a disc, that hangs from its inner circle round ``origin`` [m] in ``count``
-    flutes, turned by ``turn_rad``.
+    """The shape of a flat ring of cloth that hangs from its inner circle round ``origin`` [m] in ``count`` flutes,
+    turned by ``turn_rad``.
 
-    The ring reaches from the radius ``inner_m`` to ``outer_m``. A panel's point (u, v) [m] is drawn about the disc's
-    middle, with v = -r at the middle of the part. On its way down the circle of radius r becomes a wave round a cone
-    that is as long as the circle was; flutes are a little uneven, as they fall.
+    The ring reaches from the radius ``inner_m`` to ``outer_m`` [m]. Panels are parts of it. A panel's point (u, v) [m]
+    has its origin in the ring's middle, and the middle of the panel lies at u = 0, v < 0. Hanging, each circle of the
+    flat ring is a wave of the same length round a cone. Flutes are a little uneven, as they fall.
     """
 
     origin: Vector

@@ -37,11 +37,11 @@ def with_collar(pattern: Pattern, width_m: float) -> Pattern:
 
 
 def with_ribs(pattern: Pattern, name: str, width_m: float, shorter: float) -> Pattern:
-    """Returns ``pattern`` with its cut off bands of the kind ``name`` replaced by straight ribs ``width_m`` [m] wide,
-    closed to rings.
+    """Returns ``pattern`` with straight ribs ``width_m`` [m] wide, closed to rings, in place of the bands that were cut
+    off for them. ``name`` is "rib_neck", "rib_cuffs" or "rib_hem".
 
-    A rib is ``shorter`` by that share than what it is sewn to, and its seam is at the back of a neck, below an arm, or
-    at the side of a hem.
+    ``shorter`` is the share by which a rib is shorter than what it is sewn to. The seam that closes it is at the back
+    of a neck, below an arm, or at the side of a hem.
     """
     word = name.removesuffix("s")
     bands = {panel.name for panel in pattern.panels if panel.name.endswith(f"_{word}")}

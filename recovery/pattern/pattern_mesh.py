@@ -360,8 +360,8 @@ def on_finer_mesh(coarse: PatternMesh, nodes: np.ndarray, fine: PatternMesh) -> 
     """Returns ``nodes`` (M, 3), positions or moves [m] of the nodes of ``coarse``, interpolated in its triangles at the
     nodes of ``fine``: (N, 3).
 
-    Places are those in the flat panels. A panel of ``coarse`` may have been cut in ``fine``. The rest of it then has
-    its name, and the parts have its frame and names that begin with its own.
+    A node of ``fine`` is found in ``coarse`` by its place in the flat panel. In ``fine`` parts may have been cut off a
+    panel. The rest then keeps the panel's name; a part keeps its frame and is called NAME_PART.
     """
     there, here = ([panel.name for panel in mesh.pattern.panels] for mesh in (coarse, fine))
     whole = [_whole(name, there) for name in here]

@@ -247,8 +247,8 @@ def cut_count(panel: Panel) -> int:
 
 
 def is_of_back(pattern: Pattern, ref: EdgeRef, other: EdgeRef) -> bool:
-    """Returns whether the seam of both edges has two notches in its middle: one of its panels is of the back and none
-    of the front."""
+    """Returns whether of the panels of the edges ``ref`` and ``other``, which are sewn together, one is of the back and
+    none of the front. Such a seam has two notches in its middle."""
     sides = {side_of(pattern.panel(edge.panel)) for edge in (ref, other)}
     return "back" in sides and "front" not in sides
 

@@ -37,8 +37,9 @@ class SkirtCut:
     below the waist, ease that is added to the body's girths, and the width ``band_m`` of the waistband.
 
     ``flare_m`` is added to the half width of each panel from waist to hem at least; a circle starts in ``flutes``. A
-    fitted skirt has no band and no flutes, but any number of ``panels``, which are slashed and ``spread`` for that
-    share of what the hem has more than the waist; 0 leaves it to the side seams, and 1 makes them sectors of a ring.
+    fitted skirt has no band and no flutes, but any number of ``panels``. ``spread`` is the share of the hem's extra
+    width over the waist that slashes in the panels give. The side seams give the rest. With 1 the panels are sectors
+    of a ring.
     """
 
     name: str

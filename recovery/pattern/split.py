@@ -255,8 +255,8 @@ def parallel(chain: Sequence[Curve], width_m: float, start: np.ndarray, end: np.
     """Returns curves ``width_m`` [m] to the left of those of ``chain``, one for each, from ``start`` to ``end`` [m]
     (2,).
 
-    Where these lie elsewhere, as on sides that lean, the curves go over to them evenly. Lines stay lines; other curves
-    become cubic ones, fitted by least squares.
+    Where an end lies at another distance, as on sides that lean, the distance changes evenly along the first or last
+    curve. Lines stay lines; other curves become cubic ones, fitted by least squares.
     """
     t = np.linspace(0.0, 1.0, SAMPLES)
     normals = []
@@ -283,8 +283,8 @@ def fit_curve(points: np.ndarray) -> np.ndarray:
     """Returns the Bezier points [m] (4, 2) of the cubic curve nearest to ``points`` [m] (N, 2), from the first to the
     last of them.
 
-    First they are taken to lie evenly in its parameter. Then their places on it and its handles are found in turn, by
-    the distances across it alone: Gauss and Newton's steps for the distance of points and curve.
+    At first the points are taken to lie evenly in the curve's parameter. Then the points' parameters and the curve's
+    handles are corrected in turn. The handles are moved by distances across the curve alone (Gauss and Newton's steps).
     """
     t = np.linspace(0.0, 1.0, len(points))
     ends = points[[0, -1]]

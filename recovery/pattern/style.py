@@ -41,7 +41,7 @@ class Style:
     their ``widths_m`` [m].
 
     With ``whole_sleeves`` the halves of a sleeve are joined, and with ``whole_bands`` the pieces of a band, as far as
-    their ends lie on each other. It is false where it changes nothing.
+    their ends lie on each other. A style that changes nothing is false as a bool.
     """
 
     widths_m: Mapping[str, float]
@@ -72,8 +72,8 @@ NO_STYLE = Style({})
 def add_style_lines(pattern: Pattern, style: Style) -> Pattern:
     """Returns ``pattern`` with the bands and yokes of ``style`` cut off and sewn on again: it drapes as before.
 
-    Yokes come first, so that a neckband takes its share of them. Raises ``InputError`` where the pattern has no such
-    opening or no room.
+    Yokes come first, so that a neckband is cut off them too. Raises ``InputError`` where the pattern lacks the opening
+    of a band, or has no room for a line.
     """
     if (depth := style.widths_m.get("yoke")) is not None:
         pattern = _back_yoke(pattern, depth)

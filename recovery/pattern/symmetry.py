@@ -30,8 +30,8 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """A motion that lays panel number ``first`` on panel number ``second``, which are the same for a panel that is
-    symmetric itself.
+    """A motion that lays panel number ``first`` on panel number ``second``. Both numbers are the same for a panel that
+    is symmetric itself.
 
     A point a of the first lies at (a - mean of first's corners) @ ``matrix`` (2, 2) + mean of second's corners. Edge e
     of the first corresponds to edge e + ``shift`` of the second for a rotation and to ``shift`` - e, run backwards, for

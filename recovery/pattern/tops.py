@@ -86,7 +86,7 @@ class TopCut:
 
     @property
     def ease_m(self) -> dict[str, float]:
-        """Lengths [m] that are added to the body's girths, by part."""
+        """Lengths [m] that are added to the body's girths: "chest", and with sleeves "arm"."""
         return {"chest": self.chest_ease_m} | ({"arm": self.sleeve.arm_ease_m} if self.sleeve else {})
 
 
@@ -210,8 +210,8 @@ def name_openings(work: Assembly, bodices: Sequence[Drafted], part: str, left: s
 def set_sleeves(
     work: Assembly, body: BodyMeasurements, sleeve: Sleeve, tip: Point, armholes: Mapping[str, tuple[Edge, Edge]]
 ) -> None:
-    """Adds two sleeves, and their cuffs, to ``work``, sewn into the ``armholes`` of the wearer's sides: edge in front,
-    edge behind.
+    """Adds two sleeves, and their cuffs, to ``work``, sewn into ``armholes``: by "left" and "right" of the wearer the
+    edge in front and the edge behind, each as its panel and the name of its side.
 
     ``tip`` [m] is the shoulder's tip on the wearer's left. Raises ``InputError`` for a sleeve shorter than its cap or
     narrower than the arm.

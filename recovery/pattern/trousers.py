@@ -29,10 +29,10 @@ ABOVE_ANKLE_M = 0.02
 class LegCut:
     """The measures of trousers and shorts, lengths [m].
 
-    ``rise_drop_m``: of the waistband's upper edge below the waist. ``inseam_m``: None ends at the ankles.
-    ``knee_girth_m`` and ``hem_girth_m`` of the cloth; shorts have no knee. ``waist_ease_m`` is negative where the band
-    is to sit tight; a ``band_m`` of 0 leaves the band out. Without ``darts`` the side seams take in the whole
-    difference of hips and waist.
+    ``rise_drop_m`` is how far the waistband's upper edge lies below the waist. With an ``inseam_m`` of None legs end at
+    the ankles. ``knee_girth_m`` and ``hem_girth_m`` are girths of the cloth; shorts have None at the knee.
+    ``waist_ease_m`` is negative where the band is to sit tight; a ``band_m`` of 0 leaves the band out. Without
+    ``darts`` the side seams take in the whole difference of hips and waist.
     """
 
     name: str

@@ -118,7 +118,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 
 
 def job_of(given: argparse.Namespace) -> RecoveryJob:
-    """Returns the job that the parsed command line asks for. Raises ``InputError`` for a value that none can have."""
+    """Returns the job that the parsed command line asks for. Raises ``InputError`` for a value that is out of range."""
     return RecoveryJob(
         **{name: getattr(given, name) for name in OF_JOB},
         betas=None if given.betas is None else read_betas(given.betas),

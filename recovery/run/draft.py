@@ -79,8 +79,10 @@ def draft_near(
 
 
 def own_settings(name: str, body: BodyMeasurements, readings: dict[str, float]) -> dict[str, float]:
-    """Returns the values by name that the base ``name`` has by itself for the settings in ``readings``. Where it has
-    None, that is an inseam to the ankles, or the knee's girth of ``readings``."""
+    """Returns by name the base's own values of the settings that ``readings`` has, for the base called ``name``.
+
+    Where the base has None, "knee_girth_m" is that of ``readings``, and "inseam_m" reaches to the ankles of ``body``.
+    """
     cut = BASES[name].cut
     ankles = body.crotch_y - body.ankle_y  # an inseam of None
     settings = {}

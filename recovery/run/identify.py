@@ -26,13 +26,13 @@ WEAKEST = 3  # shapes that get a sentence
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """How well a target determines the M shapes of a pattern that the symmetries leave free.
+    """How well a target determines the shape of a pattern, which has M dimensions that the symmetries leave free.
 
     ``cloth`` (M,): singular values of the derivative of the drape by the shape, that is how far the cloth moves [m per
-    m], root mean square, falling. ``seen`` (M,): the same for what the target shows of that, rising. ``modes`` (M, K,
-    2): the moves of the K control points that belong to ``seen``, each of unit length. ``slack_m`` [m] (K,): the
-    farthest that each control point can go while the surface changes by no more than ``tolerance_m`` [m], at most
-    ``CAP_M``.
+    m], root mean square, falling. ``modes`` (M, K, 2): M orthogonal changes of shape, each as the moves of the K
+    control points, of unit length in all. ``seen`` (M,): how far [m per m] each of these takes the drape off the
+    target, as the loss measures it, root mean square, rising. ``slack_m`` [m] (K,): the farthest that each control
+    point can go while the loss sees the drape change by no more than ``tolerance_m`` [m], at most ``CAP_M``.
     """
 
     cloth: np.ndarray
@@ -78,10 +78,10 @@ def shape_basis(basis: np.ndarray, panel: np.ndarray, positions: np.ndarray) -> 
 
 
 def from_curvature(cloth: np.ndarray, curvature: np.ndarray, across: np.ndarray, tolerance_m: float) -> Identifiability:
-    """Returns the identifiability for the loss's ``curvature`` (M, M) [m^2 per m^2] by the moves ``across`` (2 K, M) of
-    the control points.
+    """Returns the identifiability that follows from the loss's ``curvature`` (M, M) [m^2 per m^2], the second
+    derivatives along M orthonormal moves ``across`` (2 K, M) of the control points.
 
-    ``cloth`` (M,) and ``tolerance_m`` are taken over as they are.
+    ``cloth`` (M,) and ``tolerance_m`` [m] are taken over as they are (``Identifiability``).
     """
     value, vector = np.linalg.eigh(0.5 * (curvature + curvature.T))
     value = np.maximum(value, BLIND * max(float(value.max()), 1e-300))

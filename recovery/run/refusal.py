@@ -21,8 +21,8 @@ WORDS = {"collar": "side of the neck", "spine3": "chest", "spine2": "ribs", "spi
 
 
 def placed_fault(fault: ScanFault, job: RecoveryJob) -> ScanFault:
-    """Returns ``fault`` with its place on the wearer of ``job``, in words and in metres; ``fault`` itself where no
-    wearer is given or the scan does not lie on it."""
+    """Returns ``fault`` with the scan moved onto the wearer of ``job``, in metres, and words on where on the wearer the
+    fault lies; ``fault`` itself where no wearer is given or the scan does not lie on it."""
     if fault.mesh is None or job.body == FIT_INSIDE:
         return fault
     wearer = read_target_wearer(job.body, betas=job.betas, pose=job.pose)

@@ -143,8 +143,8 @@ def undetermined_corners(limits: Identifiability, pattern: Pattern) -> bytes:
 
 
 def search_history(history: np.ndarray) -> bytes:
-    """Returns a PNG with two curves over the steps of a search with this ``history`` (I + 1, 4): the distance [mm] of
-    the surfaces and that of the contours."""
+    """Returns a PNG with two curves over the steps of a search, the distance [mm] of the surfaces and that of the
+    contours. ``history`` (I + 1, 4) is that of ``Fitted``."""
     figure = Figure(figsize=(6.0, 2.6), dpi=DPI, layout="constrained")
     axis = figure.subplots()
     for column, name in ((1, "surfaces"), (2, "openings")):

@@ -62,8 +62,8 @@ def key_figures(outcome: Outcome) -> tuple[str, ...]:
 
 
 def top_of(outcome: Outcome) -> dict[str, Any]:
-    """Returns the figures that a recovery is judged by, by name with the unit, for JSON; None for those of a pattern
-    that could not be sewn."""
+    """Returns the figures that a recovery is judged by, for JSON: "distance_mean_mm", "chamfer_cm2", "seam_max_pct",
+    "sewn_anew_mm", "sewn_from_target_mm", the words "cut", "minutes". Those with "sewn" are None if sewing failed."""
     return {
         "distance_mean_mm": outcome.near.distance.mean_mm,
         "chamfer_cm2": outcome.near.chamfer.squared_cm2,
@@ -320,7 +320,10 @@ def file_words(name: str) -> str:
 
 
 def record_of(outcome: Outcome) -> dict[str, Any]:
-    """Returns the figures of the report by name, as ``report.json`` holds them."""
+    """Returns the content of ``report.json``: ``top_of``, "name", "left", "warnings", "files", "seconds"; dicts on the
+    "target", "base", "body", "fabric", "graded", "search", "identifiability" and "sewn_anew" (None if that failed);
+    lists "seams" and "worn"; and ``SurfaceDistance`` or ``Chamfer`` by field under "distance", "base_distance",
+    "chamfer", "chamfer_floor"."""
     limits, fitted, mesh = outcome.near.identifiability, outcome.recovered.fitted, outcome.recovered.search.mesh
     anew = outcome.sewn.anew
     return {

@@ -41,9 +41,10 @@ class SewnAnew(NamedTuple):
     """A recovered pattern sewn anew: the drape ``draped`` and its ``distance`` from the search's drape, which the
     report shows, both in the wearer's pose.
 
-    ``by_itself``: the distance at which it came to rest by itself, before its belt was laid on that drape's waist or
-    before it was hung or put on as that lies; the same as ``distance`` if nothing was done. ``belt_moved_m`` [m]: by
-    how much the belt was moved up, zero without one.
+    A garment that was sewn anew first comes to rest by itself; ``by_itself`` is its distance from the search's drape
+    then. After that it may be put on as the search's drape is worn, by its belt or its folds. ``draped`` is the end of
+    that; if nothing was done, both distances are the same. ``belt_moved_m`` [m]: how much higher the belt then lies,
+    negative if lower, zero without one.
     """
 
     draped: Draped
@@ -188,9 +189,9 @@ def drape_elsewhere(
 
 class SewnAndWorn(NamedTuple):
     """A recovered pattern sewn from flat panels, ``anew``, its ``distance`` from the target, the garment on other
-    bodies and in other poses, ``worn``, and the ``files`` of it.
+    bodies and in other poses, ``worn``, and the ``files`` that were written of it.
 
-    ``anew`` and ``distance`` are None where it cannot be sewn.
+    If it cannot be sewn, ``anew`` and ``distance`` are None, and the lists are empty.
     """
 
     anew: SewnAnew | None

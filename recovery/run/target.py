@@ -352,11 +352,11 @@ def describe_openings(counts: dict[str, int]) -> str:
 
 
 def off_skin(mesh: GarmentMesh, skin: Avatar, known: np.ndarray) -> float:
-    """Returns how much farther [m] off the skin the cloth of ``mesh`` rests than ours, at most ``MOST_OFF_M``; 0 if
-    that is less than a millimetre.
+    """Returns how much farther [m] off the ``skin`` the cloth of ``mesh`` rests than cloth that is draped here, at most
+    ``MOST_OFF_M``; 0 if that is less than ``LEAST_OFF_M``.
 
-    Cloth has a thickness, or its simulator kept a gap. The result is the distance below which the share ``LYING_SHARE``
-    of the area of the ``known`` faces (F,), bool, lies, less the gap of our contact.
+    Cloth has a thickness, or its simulator kept a gap. The share ``LYING_SHARE`` of the area of the ``known`` faces
+    (F,), bool, lies below a distance. The result is that distance less ``SkinContact.gap_m``.
     """
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     distance = closest.signed_distance(middles, skin.vertices, skin.faces)

@@ -43,7 +43,8 @@ MINUTES = 20.0
 
 @dataclass(frozen=True, eq=False)
 class RecoveryJob:
-    """The request of a recovery: the file ``target``, the folder ``out``, and the options of the command line.
+    """The request of a recovery: the file ``target``, the folder ``out``, and the options of the command line, whose
+    help tells those that are not named here.
 
     ``body`` is a name, a file, or "fit" for a body to be fitted inside; ``base`` is a base pattern's name or a JSON
     file, None for the one that the target's openings choose. ``settings`` of a base are texts NAME=NUMBER, lengths in

@@ -210,8 +210,8 @@ def damped_step(
 ) -> tuple[ClothState, float]:
     """Returns the state ``DAMPED_DT_S`` [s] later, and the longest move [m] of a node before moves are shortened.
 
-    It lets cloth come to rest in its folds: moves are shortened, all alike, to at most ``longest_m`` [m]. The velocity
-    is the share ``kept`` of that of the moves; nodes at the skin have none outward.
+    It lets cloth come to rest in its folds. All moves are shortened by one factor, so that none is longer than
+    ``longest_m`` [m]. The new velocity is ``kept`` times move over ``DAMPED_DT_S``, with no outward part at the skin.
     """
     with torch.no_grad():
         after = linearised_step(model, state, parameters, dt_s=DAMPED_DT_S, contact=contact, pairs=pairs)
