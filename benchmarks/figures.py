@@ -22,8 +22,13 @@ NAMES = {"tshirt": "T-shirt", "dress": "dress", "trousers": "trousers"}
 
 @dataclass(frozen=True)
 class Headline:
-    """The three numbers of the default tier, gain, time of a frame and streams that a service carries, with the cores,
-    the processor time of a pose [ms], the frames a second and the goodput of these streams."""
+    """The three numbers of the default tier: gain, time of a frame, and streams that a service carries.
+
+    ``gain`` is the mean over garments and clips. ``frame_ms`` is the median processor time [ms] of a T-shirt's frame in
+    a stream. A service carries ``streams`` streams on ``cores`` cores, ``fps`` poses a second each. ``pose_ms`` is the
+    processor time [ms] that it then takes for one pose, and ``goodput_pct`` the share [%] of all poses sent whose
+    frames came in time.
+    """
 
     gain: float  # 0 is skinning and 1 physics; the mean over garments and clips
     frame_ms: float  # a stream's frame on one core in a program of its own, from pose to message
@@ -86,7 +91,8 @@ def three_numbers(records: Records) -> str:
 
 
 def tiers(records: Records) -> str:
-    """Returns a Markdown table with a row for each tier: what it costs, and how near to physics it comes."""
+    """Returns a Markdown table with a row for each tier: time over that of the rival, processor time [ms], gain, detail
+    share, and the skin that shows [% of pixels]."""
     record, columns = records["tradeoff"], {"time_ratio": ".2f", "cpu_ms": ".1f"}
     lines = []
     for row in record["means"]:
@@ -127,8 +133,8 @@ def frame(records: Records) -> str:
 
 
 def threads(records: Records) -> str:
-    """Returns a Markdown table of the frames a second that a thread and two threads compute, of two streams and of a
-    clip."""
+    """Returns a Markdown table of the frames a second that one thread computes, those of two threads, and their ratio.
+    Its rows are two streams and a clip of each garment."""
     record, lines = records["frame_views"], []
     rows = [row for row in record["rows"] if row["kind"] == "threads"]
     for garment, what in dict.fromkeys((row["garment"], row["what"]) for row in rows):
@@ -175,7 +181,8 @@ def streams(records: Records) -> str:
 
 
 def gpu_batches(records: Records) -> str:
-    """Returns a Markdown table of the time that frames of all garments take in one call on a GPU."""
+    """Returns a Markdown table of calls of the network on a GPU, for frames of all garments: the median time [ms] of a
+    call and the frames a second, by the number of frames in a call."""
     record = records["latency_gpu"]
     rows = _batches(record)
     lines = [
@@ -187,7 +194,8 @@ def gpu_batches(records: Records) -> str:
 
 
 def views(records: Records) -> str:
-    """Returns a Markdown table of the time [ms] of a frame in full and of one of which less is asked."""
+    """Returns a Markdown table of the time [ms] of a whole frame, and of one for which a client asks less: a garment
+    far away, or a hidden one."""
     columns: Columns = {
         "garment": ("garment", "s"), "case": ("case", "s"), "what": ("what", "s"), "full_ms": ("in full [ms]", ".1f"),
         "cpu_ms": ("so [ms]", ".2f"), "saving": ("saved", ".0%"),

@@ -48,8 +48,8 @@ WAYS = {
 
 
 def lateness(records: Records) -> str:
-    """Returns a Markdown table of how late frames of streams come [ms], beside each other work, and beside none in the
-    median of the runs."""
+    """Returns a Markdown table of how late frames of streams come [ms]. It has a row for each kind of work that runs
+    beside the streams, and one with the median of the runs beside none."""
     record = records["lateness"]
     rows = [row for row in record["rows"] if row["run"] == "median" or row["beside"]]
     table = rows_table(LATE, (row | {"beside": row["beside"] or "nothing"} for row in rows))
@@ -57,13 +57,14 @@ def lateness(records: Records) -> str:
 
 
 def client_folds(records: Records) -> str:
-    """Returns a Markdown table of streams whose folds a page computes: bytes, times and distances of each garment."""
+    """Returns a Markdown table of streams whose folds a page computes, with a row for each garment: bytes of a message,
+    times, and the distance [mm] of the page's drape from the service's."""
     return _by_garment(records, "client_folds", CLIENT)
 
 
 def static_page(records: Records) -> str:
-    """Returns a Markdown table of drapes that a page computes without a service: bytes, times and distances of each
-    garment."""
+    """Returns a Markdown table of drapes that a page computes without a service, with a row for each garment: megabytes
+    that it loads, times, and the distance [mm] of its drape from the service's."""
     return _by_garment(records, "static_page", LOCAL)
 
 
@@ -103,8 +104,8 @@ def proof(records: Records) -> str:
 
 
 def yardsticks(records: Records) -> str:
-    """Returns a Markdown table of the time, over the rival's, and the gain of ours and of other programs, for a T-shirt
-    and for a dress."""
+    """Returns a Markdown table with a row for each of our settings and each other program: its time over that of the
+    rival, and its gain, both for a T-shirt and for a dress."""
     lines, columns = [], {"time_ratio": "{:.2f}", "gain": "{:.2f}"}
     for way, name in WAYS.items():
         rows = [row for row in records["yardsticks"]["rows"] if way in (row["tier"], row["knobs"])]

@@ -69,8 +69,9 @@ def main(run: Run) -> None:
 
 
 def take_in(path: Path) -> tuple[Row, list[Garment]]:
-    """Returns a row with the processor time [s] of each stage of the intake of the file ``path``, and its garments. A
-    shipped garment has no intake and no times."""
+    """Returns a row, and the garments of the file ``path``. The row has "garment", the number of "faces", the processor
+    time [s] of each stage of the intake as "STAGE_s" (``STAGES``), and their sum "all_s". A shipped garment has no
+    intake and no times."""
     if path.suffix == ".npz":
         garment = open_garment(path, load_body())
         return {"garment": garment.name, "faces": len(garment.surface.faces)}, [garment]
@@ -83,8 +84,8 @@ def take_in(path: Path) -> tuple[Row, list[Garment]]:
 
 
 def upload_beside_streams(path: Path, streams: int) -> Row:
-    """Returns a row with the time [s] from the upload of the file ``path`` to a service until the first frame of its
-    garment, and the goodput [%] of the ``streams`` streams that it serves meanwhile."""
+    """Returns a row with "sent_s", the wall time [s] from the upload of the file ``path`` to a service until the first
+    frame of its garment, beside ``streams`` streams; if there are any, also with their "goodput_pct" [%]."""
     walk = at_rate(read_motion(find_motions(["walk"])[0]), FPS)
 
     async def beside(url: str) -> Row:
@@ -101,8 +102,8 @@ def upload_beside_streams(path: Path, streams: int) -> Row:
 
 
 def time_to_wear(url: str, path: Path) -> float:
-    """Returns the time [s] from the upload of the file ``path`` to the service at ``url`` until the first frame of its
-    garment has come."""
+    """Returns the wall time [s] from the upload of the file ``path`` to the service at ``url`` until the first frame of
+    its garment has come."""
     begun_s = time.perf_counter()
     with DrapeClient(url) as client:
         client.drape(client.upload_garment(path), np.zeros((1, 24, 3)))
@@ -110,8 +111,9 @@ def time_to_wear(url: str, path: Path) -> float:
 
 
 def frame_times(drapery: DrapeRuntime, garments: list[Garment], dress: list[Garment], rounds: int) -> Row:
-    """Returns a row with the processor time [ms] of a frame of ``garments``, worn together, its ratio to that of
-    ``dress``, and the numbers of vertices.
+    """Returns a row of ``garments``, worn together: "frame_ms", the median processor time [ms] of a frame;
+    "over_dress", its ratio to that of ``dress``; how many "garments" they are; and "drawn", "cloth" and "hang_ms" (the
+    module says what these are), with None for "hang_ms" where nothing hangs on cloth.
 
     Both are measured by turns, so that the machine's mood counts for neither.
     """

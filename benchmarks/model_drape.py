@@ -30,8 +30,9 @@ FRAMES_PER_CALL = 8  # the vertex stage holds some megabytes per frame
 class NetworkDrape:
     """The network's drape in F poses: ``vertices`` [m] (F, V, 3) in the world, float64, and the posed patches.
 
-    ``jet`` (F, K, 45) [patch scales] is the change of the patches' full rest jets, ``rotation`` (F, K, 3, 3) and
-    ``centre`` (F, K, 3) [m] are their frames, relative to the root joint, which is at ``root`` (3,) [m] in the world.
+    ``jet`` (F, K, 45) [patch scales] is the change of the patches' full rest jets (``drape.geometry.jets``). The
+    patches' frames are ``rotation`` (F, K, 3, 3) and ``centre`` (F, K, 3) [m], relative to the root joint, which is at
+    ``root`` (3,) [m] in the world.
     """
 
     vertices: np.ndarray

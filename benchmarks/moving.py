@@ -110,12 +110,13 @@ def streamed(drapery: DrapeRuntime, garments: list[Garment], clip: CaseClip, tie
 def shares_of(
     looks: ClothLooks, vertices: np.ndarray, stills: Sequence[dict[int, Row]], exact: Mapping[int, Row | None]
 ) -> Row:
-    """Returns the figures ``SHARES`` of a garment that moves through ``vertices`` [m] (F, V, 3), each over that of the
-    still of the frame's own pose, as means over the frames that have a still; with "curvature_last", over the still of
-    the last of them, and "exact", the angle over that of the exact drape.
+    """Returns figures of a garment that moves through ``vertices`` [m] (F, V, 3), each over that of a still, as means
+    over the frames that have one. A mean over no frame is NaN.
 
-    ``stills`` are rows by frame for each place of the clip, ``exact`` those of exact drapes by frame. A mean over no
-    frame is NaN.
+    The keys of ``SHARES`` are over the still of the frame's own pose. "curvature_last" is over the still of the last
+    such frame before the same place of the clip. "exact" is the dihedral angle over that of the exact drape. ``stills``
+    has, for each place of the clip (``PLACES`` of ``benchmarks.stills``), rows by frame; ``exact`` has the rows of
+    exact drapes by frame.
     """
     shares: list[Row] = []
     for near in stills:

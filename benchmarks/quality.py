@@ -181,8 +181,9 @@ def drapes(garment: Garment, bench: Bench, judge: Judged, draped: np.ndarray) ->
 
 
 def chart_figures(garment: Garment, draped: NetworkDrape) -> dict[str, float]:
-    """Returns how much the overlapping charts of ``draped`` disagree before they are blended, as 99th percentiles: the
-    gap [mm] over all charts of vertices, and the angle of normals [deg] over all vertices."""
+    """Returns how much the overlapping charts of ``draped`` disagree before they are blended (``Disagreement``), as
+    99th percentiles: "chart_gap_p99_mm", from a chart to the blended vertex [mm], and "chart_normal_p99_deg", the
+    largest angle between the normals of two charts of a vertex [deg]."""
     charts = disagreement(garment, draped.jet, draped.rotation, draped.centre)
     return {
         "chart_gap_p99_mm": 1e3 * float(np.percentile(charts.gap_m, 99.0)),
@@ -191,9 +192,9 @@ def chart_figures(garment: Garment, draped: NetworkDrape) -> dict[str, float]:
 
 
 def add_comparisons(rows: dict[str, Row]) -> None:
-    """Adds to each of ``rows``, which are by method, the gain and the strains minus those of physics [percentage
-    points]; to those of the network and of folds also ``detail_share``, the share of the detail that physics has beyond
-    skinning, NaN where physics has none."""
+    """Adds to each of ``rows``, which are by method, "gain", "edge_over_physics_pp" and "area_over_physics_pp", the
+    strains minus those of physics [percentage points]. Those of the network and of folds also get "detail_share", NaN
+    where physics has no more detail than skinning."""
     best, skin = rows["physics"], rows["skinning_push"]["energy_j"]
     for row in rows.values():
         row["gain"] = metrics.gain(skin, row["energy_j"], best["energy_j"])

@@ -84,7 +84,8 @@ def fabrics_table(record: Record) -> str:
 
 def four_table(record: Record) -> str:
     """Returns a Markdown table of a record of ``quality`` with a line for each fabric and set of garments: the gain of
-    the network alone, pushed out and with folds, and what folds leave to physics."""
+    the network alone, pushed out, and with folds; the edge strain of folds minus that of physics [percentage points]
+    and the detail share of folds; and the share [%] of poses in which physics came to rest."""
     left, lines = {"edge_over_physics_pp": ".2f", "detail_share": ".2f"}, []
     for (_, kind, fabric), rows in _by_method(record["summary"]).items():
         gains = [value for method in ("network", "network_push", "folds") for value in cells(rows[method], GAIN)]

@@ -114,8 +114,8 @@ def as_user(target: Path, out: Path, *words: str) -> RecoveryJob:
 def recover_job(job: RecoveryJob, judged: Callable[[Cut | None, int], str], pictures: Path | None) -> Row:
     """Runs ``job`` and returns its row: figures of the recovered pattern, or the sentence of the refusal.
 
-    ``judged`` takes the cut, None for a refusal, and the number of panels, and returns the cell that says whether they
-    are right. The folder ``pictures``, if there is one, gets the report and a picture under the target's name.
+    ``judged`` takes the cut, None for a refusal, and the number of panels, and returns the cell that says whether the
+    two are right. The folder ``pictures``, if there is one, gets the report and a picture under the target's name.
     """
     began, refusal, outcome = time.process_time(), "", None
     try:

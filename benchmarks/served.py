@@ -45,8 +45,8 @@ class Stream:
             stage.prepare(plan)
 
     def frame(self, pose: PoseInput) -> Batch:
-        """Drapes ``pose``, with the stream's memories in place of its own, and returns the batch of this one frame. Its
-        time is added to ``clock``."""
+        """Returns the batch of one frame, that of ``pose``. It goes on from the memories of the stream, not from those
+        in ``pose``. Its time is added to ``clock``."""
         pose = replace(pose, memories=self.memories)
         with self.clock:
             *_, batch = self._walk(self.plan, [pose], self.took)

@@ -182,8 +182,14 @@ async def crowd(
 
 
 def stream_figures(views: Sequence[ClientView], model_ms: np.ndarray | None) -> dict[str, float]:
-    """Returns the columns of a row that follow from the clients' ``views``: goodput [%], age of frames and longest gap
-    [ms]; with ``beside_model`` where the times of the model alone ``model_ms`` (F,) are known."""
+    """Returns the columns of a row that follow from the clients' ``views``.
+
+    They are the shares [%] of the poses sent whose frames came within ``LATE_S``, "goodput_pct", or at all,
+    "served_pct"; the share [%] of frames that were computed with less than asked, "stepped_pct"; the age of frames,
+    "frame_age_p50_ms" and "frame_age_p99_ms"; and the longest time between two frames of a client, "gap_max_ms".
+    ``beside_model`` joins them where the times of the model alone ``model_ms`` (F,) are known. Where no frame came
+    there is only "goodput_pct", 0.
+    """
     ages = np.concatenate([view.age_s for view in views])
     inside = np.concatenate([view.residence_ms for view in views])
     gaps = [np.diff(view.came_s).max() for view in views if len(view.came_s) > 1]
@@ -202,7 +208,8 @@ def stream_figures(views: Sequence[ClientView], model_ms: np.ndarray | None) -> 
 
 def beside_model(inside_ms: np.ndarray, model_ms: np.ndarray) -> dict[str, float]:
     """Returns how much longer [ms] frames are in the service (``inside_ms``) than the model takes for them alone
-    (``model_ms``), median less median and 99th percentile less 99th percentile."""
+    (``model_ms``): "overhead_p50_ms", median less median, and "overhead_p99_ms", 99th percentile less 99th
+    percentile."""
     return {
         "overhead_p50_ms": float(np.median(inside_ms) - np.median(model_ms)),
         "overhead_p99_ms": float(np.percentile(inside_ms, 99.0) - np.percentile(model_ms, 99.0)),

@@ -92,9 +92,9 @@ def _check(batch: Batch, pose: PoseInput, drapery: DrapeRuntime) -> None:
 
 
 def soak_rows(*, count: int, until_s: float, seed: int) -> tuple[int, str | None]:
-    """Sends ``count`` random rows through rotations and the wire's quantisation, or fewer if ``time.monotonic`` comes
-    to ``until_s``. Returns how many went through before the first failure, and the sentence of that, None if there was
-    none."""
+    """Sends ``count`` random vectors (3,), called rows, through conversions of rotations and the wire's quantisation,
+    or fewer if ``time.monotonic`` comes to ``until_s``. Returns how many went through before the first failure, and the
+    sentence of that, None if there was none."""
     rng, number = np.random.default_rng(seed), 0
     while number < count and time.monotonic() < until_s:
         size = 10.0 ** rng.uniform(-45.0, 3.0, (ROW_BLOCK, 1))

@@ -56,8 +56,8 @@ CAPTURED = (
 
 
 def posed_at(clip: CaseClip) -> list[list[int]]:
-    """Returns the numbers of those frames of ``clip`` whose poses have a still: a list for each of ``PLACES``, of the
-    frame there and of those ``BEFORE`` it, in order."""
+    """Returns the numbers of those frames of ``clip`` whose poses have a still: for each of ``PLACES`` an ascending
+    list of the frames that are ``BEFORE`` frames before that place."""
     places = [round(place * (len(clip.poses) - 1)) for place in PLACES]
     return [sorted({max(0, place - before) for before in BEFORE}) for place in places]
 
@@ -76,7 +76,8 @@ def input_of(clip: CaseClip, frame: int) -> PoseInput:
 
 
 def still_figures(looks: ClothLooks, vertices: np.ndarray) -> Row:
-    """Returns curvature, dihedral angle, area, hem and relief of cloth at ``vertices`` [m] (V, 3), by name."""
+    """Returns a row of cloth at ``vertices`` [m] (V, 3): "curvature" [rad], "dihedral_deg", "area_m2", "hem_mm" and the
+    relief of each band of ``BANDS`` as "BAND_mm" (``ClothLooks`` says what they are)."""
     frame = vertices[None]
     relief = dict(zip((f"{band}_mm" for band in BANDS), looks.relief_mm(frame)[0].tolist(), strict=True))
     measures = {

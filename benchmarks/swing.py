@@ -151,8 +151,10 @@ def hem_figures(x: np.ndarray, scene: CaseScene, static: np.ndarray, simulator: 
     """Returns the figures of the hem in a swinging drape ``x`` [m] (F, V, 3) of ``scene``, beside the drape without
     swing ``static`` (F, V, 3).
 
-    They are its rise [mm], its mean distance from the static hem [mm] and the jitter; ``swinging``, where the body
-    stops before the clip ends; and the mean distance [mm] from the hem of ``simulator`` (F, V, 3), if that is given.
+    "rise_mm" is the most that its mean height rises over that of the first frames, "hem_mm" its mean distance from the
+    static hem, and "jitter_ratio" the jitter over that of ``static``. Where the body stops before the clip ends there
+    are also those of ``swinging``. If ``simulator`` (F, V, 3) is given there is "error_mm", the mean distance from its
+    hem.
     """
     still, own = (hem_parts(drape.astype(np.float64), scene) for drape in (static, x))
     moved, base = (drape.astype(np.float64) + scene.clip.trans[:, None] for drape in (x, static))
@@ -172,8 +174,8 @@ def hem_figures(x: np.ndarray, scene: CaseScene, static: np.ndarray, simulator: 
 
 
 def measure_scene(scene: CaseScene, network: ModelDrape, *, simulator: bool) -> list[Row]:
-    """Returns a row for each method of ``scene``: static, network, swing, swing_folds and, if ``simulator`` is true,
-    the simulator, with shares of its figures."""
+    """Returns a row for each method of ``scene``: "static", "network", "swing", "swing_folds" and, if ``simulator`` is
+    true, "simulator". All rows then also have the ratios ``SHARES`` to the simulator's figures."""
     garment, clip, of_fabric = scene.garment, scene.clip, network.made_of(scene.fabric)
     static = of_fabric.drape(garment, clip.poses)
     delivered = static.vertices[:, : garment.vertex_count]

@@ -100,14 +100,20 @@ class Case:
 
     @classmethod
     def of(cls, scene: CaseScene, networks: dict[str, ModelDrape], *, keeps_apart: bool = True) -> Case:
-        """Returns ``scene`` with its physics, which is computed from the drape of the last of ``networks``, or found in
-        the cache. With ``keeps_apart`` cloth does not pass through itself."""
+        """Returns ``scene`` with its physics, which is found in the cache or computed: with ``keeps_apart`` from the
+        drape of the last of ``networks``, for cloth that does not pass through itself, otherwise also from skinning."""
         starts = scene.starts(networks)
         return cls(scene, starts["skinning"], physics_bound.bound(scene, starts, keeps_apart=keeps_apart))
 
     def row(self, vertices: np.ndarray, start: np.ndarray) -> Row:
-        """Returns the measures of a drape ``vertices`` [m] (F, V, 3) of the clip, beside skinning and physics; jitter
-        is over that of ``start`` (F, V, 3)."""
+        """Returns the row of a drape ``vertices`` [m] (F, V, 3) of the clip: the name of the scene, and figures in the
+        frames that physics is known of.
+
+        They are "gain" and "detail_share"; "curvature" over that of physics; "error_mm", the mean distance from
+        physics; "self_intersections", pairs of triangles that cross, in the first ``CROSSED`` of these frames; and
+        ``FIGURES`` of ``physics_bound.figures``, of which the jitter is that of all frames over that of ``start`` (F,
+        V, 3).
+        """
         judge, measured = self.least.judge, self.scene.clip.measured[self.least.few]
         figures, drapes = physics_bound.figures(judge, vertices, start, measured), vertices[measured].astype(np.float64)
         looks = looks_of(self.scene.garment)
@@ -129,8 +135,8 @@ class Case:
 
 
 def measure_knobs(case: Case, drapery: DrapeRuntime, knobs: Sequence[Knobs]) -> list[Row]:
-    """Returns the rows of ``case``, with times and measures: one for each of ``knobs``, one for the rival, and one for
-    physics."""
+    """Returns the rows of ``case``, each with ``times`` and ``Case.row``: one for each of ``knobs``, one for the rival
+    (``SkinningPush``), and one for physics, which has fewer keys."""
     clip, body, garment = case.scene.clip, case.scene.body, case.scene.garment
     scene, count = drapery.garments.add(garment, "user"), drapery.engine.pass_count
     plans = [drapery.plan(scene, choice.options(count, fabric=case.scene.fabric.name)) for choice in knobs]
@@ -163,8 +169,8 @@ def measure_knobs(case: Case, drapery: DrapeRuntime, knobs: Sequence[Knobs]) -> 
 
 
 def times(clock: Clock) -> dict[str, float]:
-    """Returns the median and the 95th percentile of the wall time [ms] of a frame and the median of its processor time
-    [ms], without the first frame, which has no past."""
+    """Returns three times [ms] of a frame: "p50_ms" and "p95_ms", the median and the 95th percentile of its wall time,
+    and "cpu_ms", the median of its processor time. The first frame, which has no past, does not count."""
     wall, cpu = clock.wall_ms[1:], clock.cpu_ms[1:]
     return {
         "p50_ms": float(np.median(wall)),
@@ -174,8 +180,9 @@ def times(clock: Clock) -> dict[str, float]:
 
 
 def means(rows: Sequence[Row]) -> list[Row]:
-    """Returns a row for each combination of knobs, for the rival and for physics: the means of ``rows``, and
-    ``pareto``, which is true where nothing else has a higher gain in as little time."""
+    """Returns a row for each combination of knobs, for the rival and for physics: the means of ``rows``, the number of
+    "cases", "gain_p05", the 5th percentile of gain, and "pareto", which is true where nothing else has a higher gain in
+    as little time."""
     summary: list[Row] = []
     for tier, knobs in dict.fromkeys((row["tier"], row["knobs"]) for row in rows):
         same = [row for row in rows if (row["tier"], row["knobs"]) == (tier, knobs)]
@@ -196,11 +203,12 @@ def tiers_of(mean: Sequence[Row]) -> list[Row]:
 
     ``instant`` is the cheapest without folds that has ``LIFTED`` of what all corrections gain, ``fast`` the cheapest
     with folds. ``accurate`` folds all vertices and has no more detail than ``DETAIL_MOST``, because gain does not see
-    fine folds and crossings; it gains the most of these. ``balanced`` is the cheapest with at least half of what
-    ``accurate`` gains over ``fast``, and ``SMOOTHER`` of its way to less curvature, which the eye sees first; among
-    those at most ``AS_CHEAP`` times as dear it is the one with the least curvature. A tier's folds, and its passes
-    under folds, are never less than those of the one below, and none is coarse above a fine one. Times are compared
-    with each other alone, so that the rule gives the same tiers on processors on which the rival is faster or slower.
+    fine folds and crossings; it gains the most of these. ``balanced`` is the cheapest that goes at least half of the
+    way from the gain of ``fast`` to that of ``accurate``, and ``SMOOTHER`` of the way between their curvatures, which
+    the eye sees first; among those at most ``AS_CHEAP`` times as dear it is the one with the least curvature. A tier's
+    folds, and its passes under folds, are never less than those of the one below, and none is coarse above a fine one.
+    Times are compared with each other alone, so that the rule gives the same tiers on processors on which the rival is
+    faster or slower.
     """
     by_order = sorted(mean, key=lambda row: row["time_ratio"])
     lifted = [row for row in by_order if row.get("folds") == 0]
@@ -227,8 +235,9 @@ def _covers(row: Row, below: Row) -> bool:
 
 def manifest_tiers(chosen: Sequence[Row], where: dict[str, Any]) -> list[Row]:
     """Returns the tiers of a manifest, fields of ``drape.stages.tiers.Tier`` by name, for the rows ``chosen`` of
-    ``tiers_of``. The figures of each are those of its row and ``where``, more figures by name. Without folds the two
-    least tiers have the passes of the least one, the others all."""
+    ``tiers_of``. The figures of each are those of its row and ``where``, more figures by name. ``alone`` is the passes
+    of the least row in the two least tiers, and None, for all passes, in the others. With folds the least tier has the
+    passes of the one above it."""
     alone, above = (row["passes"] for row in chosen[:2])
     figures = (
         "time_ratio",

@@ -26,10 +26,11 @@ from training.chart_consensus import SparseConsensus, SparsePair, blend_matrix
 @dataclass(frozen=True, eq=False)
 class Partition:
     """One partition of a garment into K patches, as tensors on the device: the patches, their ``features`` (K, D), and
-    the ``blend`` (V, 19 K), a sparse matrix from world coefficients to vertices.
+    the ``blend`` (V, 19 K), a sparse matrix from ``onefit.posed_coefficients`` to vertices.
 
-    ``chart_patch``, ``chart_weight`` (V, 4) and ``chart_row`` say what the four charts of each vertex are. ``grain``
-    (K, 2) is that of ``drape.garment.fabric_features.patch_grain``.
+    Each vertex has four charts: ``chart_patch`` (V, 4) are their patches, ``chart_weight`` (V, 4) their weights in the
+    blend, and ``chart_row`` (V, 4, 19) what multiplies a patch's coefficients, [1, rest position in the patch frame,
+    basis]. ``grain`` (K, 2) is that of ``drape.garment.fabric_features.patch_grain``.
     """
 
     patches: PatchTensors
@@ -53,7 +54,12 @@ class Partition:
 @dataclass(frozen=True, eq=False)
 class TrainingGarment:
     """A garment at rest with the constants of its cloth, its ``partitions`` at hand, and the random ``seeds`` that each
-    of these was drawn from. ``skin_weights`` (V, 24); ``band`` None for a garment without a waistband."""
+    of these was drawn from.
+
+    ``skin_weights`` (V, 24) are those of its vertices, ``warp`` (F, 3) is the unit direction of the warp on each
+    triangle at rest. ``band`` has the vertices (n,) and lengths [m] (n,) of the waistband (``drape.cloth.waistband``),
+    and is None for a garment without one.
+    """
 
     name: str
     rest: RestGarment

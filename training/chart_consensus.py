@@ -69,7 +69,12 @@ class GatheredConsensus(AgreementTensors):
 
 @dataclass(frozen=True, eq=False)
 class SparseConsensus:
-    """Tables as sparse matrices, whose gradients do not scatter; equals ``GatheredConsensus``."""
+    """Tables as sparse matrices, whose gradients do not scatter; equals ``GatheredConsensus``.
+
+    ``blend`` (A, 19 K) gives anchors from posed coefficients, ``rigid`` (A, 4 K) from the first four of each patch.
+    ``fit`` (21 K, A) gives polynomials from anchors; ``fit_total`` (K, 21, 1) are the sums of its rows, by which a
+    patch's centre is taken off. ``rest``, ``tangent`` and ``orthonormal`` are those of ``ChartConsensus``.
+    """
 
     rigid: SparsePair  # (A, 4 K)
     blend: SparsePair  # (A, 19 K)

@@ -87,13 +87,22 @@ class ModelConfig:
 
 @dataclass(frozen=True)
 class DataConfig:
-    """Data of a run. ``garments``: names of designs, or files; ``partitions``: random partitions kept of each;
-    ``variants``: random neighbours of each design, drawn anew in every process, with ``variant_partitions`` each;
-    ``own_share``: chance of a named design itself; ``patch_range``: between which factors the number of patches is
-    drawn, times that of intake; ``fresh_steps``: steps after which one partition is replaced by one never seen;
-    ``even_share``: share of poses drawn evenly over kinds of poses instead of as often as they occur; ``held_out``:
-    clips never trained on. ``held_out_fabrics``: never drawn, nor what is like them; ``bias_share``: share of the
-    variants that are cut with another grain than vertical."""
+    """Data of a run.
+
+    ``garments``: names of designs, or files; ``own_share``: chance that one of these is drawn, otherwise it is any
+    garment, neighbours included; ``variants``: random neighbours of each design, drawn anew in every process;
+    ``bias_share``: share of the neighbours that are cut with another grain than vertical; ``held_out_fabrics``: never
+    drawn, nor what is like them.
+
+    ``partitions``: random partitions kept of each of ``garments``, ``variant_partitions`` of each neighbour;
+    ``patch_range``: between which factors the number of patches is drawn, times that of intake; ``fresh_steps``: steps
+    after which one partition is replaced by one never seen.
+
+    ``even_share``: share of poses drawn evenly over kinds of poses instead of as often as they occur; ``mix_share``:
+    share of poses with the legs of another; ``mirror_share``: share of poses and of windows that are mirrored;
+    ``held_out``: clips never trained on. ``shape_share``: share of bodies with a random shape, whose coefficients have
+    the deviation ``shape_deviation``. ``contact_share``: share of the vertices at which a step computes contact.
+    """
 
     garments: tuple[str, ...] = ("tshirt", "longsleeve", "tank", "trousers", "shorts", "dress", "skirt")
     partitions: int = 6
@@ -142,15 +151,15 @@ class TrainConfig:
     """The settings of a run: network, data, time, rates, and the weights of the parts of the loss.
 
     ``batch_size``: frames, of a dynamic model windows, per step of each process. ``disagreement_weight``
-    [1/m^2 J/m^2] grows linearly from the share ``early_agreement`` to all of it over a static run: charts that
+    [J/m^4] grows linearly from the share ``early_agreement`` to all of it over a static run: charts that
     must agree from the start learn slower. ``contact_knee_j_m2``: contact energy per area of a frame above
     which it counts by its logarithm.
     ``full_share``: steps that take all passes of corrections, ``bare_share`` those that take none; the others take any
     number, so that the model drapes with fewer as well. ``autocast``: the matrices of the network in bfloat16. In
     ``smooth_share`` of the steps poses come as three in a row, ``smooth_step_rad`` apart in every joint but the root,
-    and ``smooth_weight`` [1/m^2 J/m^2] times the mean squared second difference of the vertices joins the loss: a drape
+    and ``smooth_weight`` [J/m^4] times the mean squared second difference of the vertices joins the loss: a drape
     that minimises energy frame by frame jumps from one way out of the body to another.
-    With settled drapes at hand (training.settled) steps that take no pass lower ``settled_weight`` [1/m^2 J/m^2] times
+    With settled drapes at hand (training.settled) steps that take no pass lower ``settled_weight`` [J/m^4] times
     the mean squared distance to those, contact, and the share ``settled_energy`` of the rest of the energy.
     ``area_weight`` [J/m^2] times ``losses.lost_area`` joins every loss: a network that leaves folds their room.
     """

@@ -37,10 +37,10 @@ class Disagreement:
 
 def chart_positions(garment: Garment, jet: np.ndarray, rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """Returns the places [m] (F, V, 4, 3), float64, that each of its four charts alone gives each vertex of the
-    subdivided mesh, in the frame of ``centre``: relative to the root joint in what the drape graph returns.
+    subdivided mesh. They are relative to the same origin as ``centre``: the root joint in what the drape graph returns.
 
-    ``jet`` (F, K, 27 or 45) [patch scales] is the change of the rest jets, ``rotation`` (F, K, 3, 3) and ``centre``
-    (F, K, 3) [m] are the posed frames. Raises ``InputError`` for other shapes.
+    ``jet`` (F, K, 27 or 45) [patch scales] is the change of the rest jets, ``rotation`` (F, K, 3, 3) and ``centre`` (F,
+    K, 3) [m] are the posed frames. Raises ``InputError`` for other shapes.
     """
     _check(garment, jet, rotation, centre)
     patch, uv = garment.chart_patch, garment.chart_uv.astype(np.float64)

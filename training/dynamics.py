@@ -24,8 +24,9 @@ class DynamicTrainer(BaseTrainer):
     """The trainer of the recurrent encoder: it learns what motion adds to the drape of the static ``weights``.
 
     A frame's loss is its incremental potential (Santesteban et al. 2022; Bertiche et al. 2022): the cloth's energy and
-    m / (2 dt^2) |x - (x1 + dt v)|^2, with the network's own two earlier frames taken as given. Places x are those in
-    the world: the root's way is added to the drape, which is relative to the root.
+    m / (2 dt^2) |x - (x1 + dt v)|^2. The place x1 and the velocity v of the frame before are those of the network's own
+    two earlier frames, taken as given. Places x are those in the world: the root's way is added to the drape, which is
+    relative to the root.
 
     Cloth must come to rest in the static drape s of the same poses, but no network hangs it so well that no force is
     left. So the energy is E(x) - E(s) - E'(s) (x - s), as if something balanced the force that is left. Otherwise that

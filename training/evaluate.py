@@ -122,8 +122,9 @@ def evaluate(
     fabric: Fabric | None = None,
 ) -> list[dict[str, Any]]:
     """Returns four rows, of the methods "skinning", "skinning_push", "network" and "network_push" at ``poses``: mean
-    energies [J] by part, mean strains [%] of edges and areas, and ``share``, the energy over that of "skinning_push".
-    The row "network" also has the disagreement of its charts.
+    energies [J], "energy_j" and each part as "PART_j"; mean strains of edges and areas, "edge_pct" and "area_pct"; and
+    "share", the energy over that of "skinning_push". The row "network" also has the disagreement of its charts,
+    "chart_gap_p99_mm" and "chart_normal_p99_deg".
 
     ``passes`` and ``fabric`` are those of ``posed_patches``. For a network that knows fabrics cloth rests as the
     garment says, otherwise as its mesh is modelled.

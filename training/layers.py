@@ -118,7 +118,8 @@ class Decoder(nn.Module):
     ) -> tuple[dict[str, Tensor], Tensor]:
         """Returns the outputs (F, K, n) of each head by name, and those of the trunk (F, K, W), which corrections read.
 
-        ``surroundings`` (F, K, 102) are needed for vector jets: ``onefit.patch_surroundings``, then the agreed base.
+        ``surroundings`` (F, K, 102) are needed for vector jets: ``onefit.patch_surroundings`` (75), then the
+        changes (27) of the rest jets with which rigid patches fit their blend (``agreed_jets``).
         """
         x = self.from_body(body_code)[:, None] + self.from_patch(embedding)[None]
         if self.from_surroundings is not None:

@@ -29,9 +29,13 @@ from training.recurrent import DynamicEncoder
 
 @dataclass(frozen=True)
 class Posed:
-    """K patches on F posed bodies: ``rotation`` (F, K, 3, 3) and ``centre`` (F, K, 3) [m] of their frames, relative to
-    the root joint, and ``jet`` (F, K, 45) [patch scales], the changes of the full rest jets. Of variant "paper" the
-    frames are those at rest and the jets are (F, K, 27)."""
+    """K patches on F posed bodies: ``rotation`` (F, K, 3, 3) and ``centre`` (F, K, 3) [m] are their frames, relative to
+    the root joint.
+
+    ``jet`` (F, K, 45) [patch scales] are the changes of their full rest jets (``drape.geometry.jets``). Of variant
+    "paper" the frames are those of the rest pose, and ``jet`` (F, K, 27) are the changes of the rest jets, which are
+    not full.
+    """
 
     rotation: Tensor
     centre: Tensor

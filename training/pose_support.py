@@ -61,8 +61,9 @@ def _steps(rows: np.ndarray) -> np.ndarray:
 
 
 def shares_beyond(support: PoseSupport, clips: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """Returns the share of poses beyond the limits of ``support``, from 0 to 1, by name: of each of ``clips``
-    (F, 24, 3) [rad], and of poses whose components are uniform within each of ``SPREADS_RAD``."""
+    """Returns the share of poses beyond the limits of ``support``, from 0 to 1, by name: of each of ``clips`` (F, 24,
+    3) [rad]; and, as "uniform to S rad" for each S of ``SPREADS_RAD``, of poses whose components are uniform between -S
+    and S."""
     generator = np.random.default_rng(0)
     uniform = {f"uniform to {s:.1f} rad": generator.uniform(-s, s, (1000, JOINT_COUNT, 3)) for s in SPREADS_RAD}
     return {name: float((support.novelty(poses) > 1.0).mean()) for name, poses in ({**clips} | uniform).items()}

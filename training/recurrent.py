@@ -49,11 +49,11 @@ class MotionScale(nn.Module):
 class CalmingGRU(nn.Module):
     """A gated recurrent unit without biases, in seconds, whose state comes to rest by itself.
 
-    With a step of ``REFERENCE_DT_S`` and no calming it is torch's GRUCell; shorter and longer
-    steps take their share of the way. The size of a state is its root mean square, at most 1.
-    Each step first lowers it as exp(-t / tau) minus a constant, which reaches zero, from 1
-    after ``rest_s``; what follows may turn the state but make it larger only by the size of the input.
-    So without input the size at time t is at most (1 + c) exp(-t / tau) - c, for any weights.
+    With a step of ``REFERENCE_DT_S`` and no calming it is torch's GRUCell; shorter and longer steps take their share of
+    the way. The size of a state is its root mean square, at most 1. Without input the size after the time t is at most
+    (1 + c) exp(-t / tau) - c, for any weights: tau is ``decay_s``, and c is chosen so that a size of 1 is 0 after
+    ``rest_s``. Each step first lowers the size so; what follows may turn the state but make it larger only by the size
+    of the input.
     """
 
     def __init__(self, inputs: int, size: int, *, decay_s: float, rest_s: float) -> None:

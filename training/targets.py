@@ -87,10 +87,11 @@ class SettledBank:
     def draw(
         self, garments: Sequence[TrainingGarment], rng: np.random.Generator
     ) -> tuple[TrainingGarment, SettledDrapes]:
-        """Returns the drapes in a random file of one of ``garments``, and that garment.
+        """Returns one of ``garments``, and its settled drapes from a random file. A file is of a garment that has the
+        same name and mesh (``settled_digest``).
 
-        Processes of a parallel run have neighbours of designs of their own, of which there are no files. Raises
-        ``ArtifactError`` where ``TRIES`` random files are of none of ``garments``.
+        Raises ``ArtifactError`` where ``TRIES`` random files are of none of ``garments``. In a parallel run every
+        process draws neighbours of designs of its own, and files hold those of process 0 alone.
         """
         files, known = self._files(), {(garment.name, settled_digest(garment)): garment for garment in garments}
         for _ in range(TRIES):

@@ -133,8 +133,8 @@ def corner_slopes(cloth: ClothMesh) -> np.ndarray:
 
 
 def vertex_stiffness(cloth: ClothMesh, material: Material) -> np.ndarray:
-    """Returns for each vertex a bound [N/m] (V,) of the diagonal of the energy's Hessian: of membrane, hinges and half
-    of the contact."""
+    """Returns for each vertex a bound [N/m] (V,) of the diagonal of the energy's Hessian, in which membrane and hinges
+    count in full and contact by half."""
     membrane = max(material.warp_n_per_m, material.weft_n_per_m) * cloth.face_area * corner_slopes(cloth) ** 2
     total = np.bincount(cloth.face_index, weights=membrane.reshape(-1), minlength=cloth.vertex_count)
     # Per metre a wing turns its hinge by 1 / altitude of its triangle, an end of the edge by about the mean of both.

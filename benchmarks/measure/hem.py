@@ -44,9 +44,10 @@ def swinging(parts: np.ndarray, fps: float) -> Row:
     """Returns how the ``parts`` of a hem, at places [m] (F, P, 3), come to rest on a body that stands still.
 
     ``settle_s`` is the time after which they stay within ``SETTLED_M`` (RMS) of their last places. The other two are
-    measured along the direction in which they move most: ``period_s`` is twice the time between the two passes through
-    the last place around the largest swing after it, and ``over`` that swing over the one before. They are NaN where
-    nothing swings by more than ``SETTLED_M``, and ``period_s`` also where it does not pass again.
+    measured along the direction in which they move most; a swing lasts from one pass through the last place to the
+    next. ``over`` is the height of the swing after the largest one, over that of the largest. ``period_s`` is twice the
+    time of the swing after the largest. Both are NaN where nothing swings by more than ``SETTLED_M``, and ``period_s``
+    also where that swing does not end.
     """
     off = parts - parts[-1]
     far = np.flatnonzero(np.sqrt((off**2).sum(axis=2).mean(axis=1)) > SETTLED_M)

@@ -96,8 +96,8 @@ class JudgedCloth:
 class Judged:
     """What judges drapes of a ``cloth`` over n posed bodies, ``body_vertices`` [m] (n, Vb, 3).
 
-    ``skinned`` [m] (n, V, 3) is the cloth after linear blend skinning: the energy of gravity counts from its mean
-    heights, and physics holds waistbands at its places.
+    ``skinned`` [m] (n, V, 3) is the cloth after linear blend skinning. Its mean heights are those at which the energy
+    of gravity is 0. Physics holds a waistband where these vertices have it.
     """
 
     cloth: JudgedCloth
@@ -140,7 +140,8 @@ class Judged:
         return tuple(JudgedBody.of(posed, self.cloth.body.faces) for posed in self.body_vertices)
 
     def parts_j(self, vertices: np.ndarray) -> dict[str, np.ndarray]:
-        """Returns the energies [J] (n,) of the drapes ``vertices`` [m] (n, V, 3) by part."""
+        """Returns the energies [J] (n,) of the drapes ``vertices`` [m] (n, V, 3) by part: "membrane", "bending",
+        "gravity" and "contact"."""
         cloth = self.cloth
         return metrics.static_parts(
             vertices, cloth.mesh, cloth.material, cloth.contact, self.body_vertices,
@@ -148,8 +149,8 @@ class Judged:
         )  # fmt: skip
 
     def energies(self, vertices: np.ndarray) -> dict[str, float]:
-        """Returns mean energies [J] of the drapes ``vertices`` [m] (n, V, 3): the whole as "energy_j", and each part as
-        "PART_j"."""
+        """Returns mean energies [J] of the drapes ``vertices`` [m] (n, V, 3): the whole as "energy_j", and each part of
+        ``parts_j`` as "PART_j"."""
         parts = self.parts_j(vertices)
         whole = {"energy_j": float(np.stack(list(parts.values())).sum(axis=0).mean())}
         return whole | {f"{part}_j": float(value.mean()) for part, value in parts.items()}
@@ -233,8 +234,9 @@ class Camera:
 def covered_skin(
     body_vertices: np.ndarray, body_faces: np.ndarray, vertices: np.ndarray, faces: np.ndarray
 ) -> np.ndarray:
-    """Returns which (Fb,) of ``body_faces`` a garment, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), covers at rest and
-    more than ``HEM_M`` from bare skin."""
+    """Returns which (Fb,) of ``body_faces`` a garment, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), covers at rest:
+    faces that never show in pictures from ``REST_VIEWS_DEG``, because cloth is before them, and are at least ``HEM_M``
+    from those that show."""
     camera = Camera.around(body_vertices)
     hidden, bare = np.zeros(len(body_faces), bool), np.zeros(len(body_faces), bool)
     for azimuth_deg in REST_VIEWS_DEG:

@@ -18,9 +18,13 @@ OPTIMA = 6  # physics is computed of at most so many frames of a clip
 
 
 def figures(judge: Judged, vertices: np.ndarray, start: np.ndarray, measured: np.ndarray) -> Row:
-    """Returns a row of means over the frames ``measured`` (n,) of the drapes ``vertices`` [m] (F, V, 3): energies [J],
-    strain [%], detail [mm], colliding triangles and visible skin [%]; and the jitter of all frames over that of
-    ``start`` (F, V, 3). ``judge`` has the n bodies."""
+    """Returns a row of the drapes ``vertices`` [m] (F, V, 3) of a clip. ``judge`` has the bodies of the frames
+    ``measured`` (n,).
+
+    Means over these frames are the energies [J] of ``Judged.energies``, the strain "edge_pct" [%] and "detail_mm" [mm]
+    (``LowPass.detail_mm``). Means over the few of ``Judged.few`` are "colliding_pct", the share [%] of vertices in the
+    body, and "skin_pixels_pct". "jitter_ratio" is of all frames, over that of ``start`` (F, V, 3).
+    """
     drapes = vertices[measured].astype(np.float64)
     slow = judge.few.figures(drapes[judge.spread], ("colliding_triangle_pct", "skin_pixels_pct"))
     return {
@@ -34,9 +38,12 @@ def figures(judge: Judged, vertices: np.ndarray, start: np.ndarray, measured: np
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """Physics of n of the measured frames of a clip, whose numbers among these are ``few`` (n,): the drapes
-    ``vertices`` [m] (n, V, 3), their mean energy and detail, and the processor time of a frame. ``judge`` judges drapes
-    of these frames."""
+    """The physics optimum in n frames of a clip, which stand at the indices ``few`` (n,) in ``CaseClip.measured``.
+
+    ``vertices`` [m] (n, V, 3) are its drapes, ``energy_j`` [J] and ``detail_mm`` [mm] (``LowPass.detail_mm``) their
+    means. ``processor_s`` is the mean processor time [s] in which one was computed. ``judge`` judges other drapes of
+    these frames.
+    """
 
     few: np.ndarray
     judge: Judged
@@ -47,7 +54,7 @@ class Bound:
 
     def compare(self, row: Row, plain: Row) -> Row:
         """Returns ``gain`` and ``detail_share`` of ``row``, a row of ``figures``. Both are 0 for ``plain``, the row of
-        skinning, and 1 for physics."""
+        skinning, and 1 for physics; NaN where physics has no less energy, or no more detail, than skinning."""
         share = metrics.gain(-plain["detail_mm"], -row["detail_mm"], -self.detail_mm)
         return {"gain": metrics.gain(plain["energy_j"], row["energy_j"], self.energy_j), "detail_share": share}
 

@@ -76,8 +76,8 @@ class Trace:
         self._calls, self._mark = [], now
 
     def frames(self) -> list[Spent]:
-        """Returns for each frame, by stage and function, an array (3,): the number of calls, the processor time [ms]
-        and the wall time [ms]. What a stage spends outside of the engine's functions is under ``PYTHON``."""
+        """Returns for each frame arrays (3,) by (stage, function): the number of calls, the processor time [ms] and the
+        wall time [ms]. What a stage spends outside of the engine's functions is under (stage, ``PYTHON``)."""
         frames: list[Spent] = []
         for frame in self._frames:
             spent: Spent = {}
@@ -151,8 +151,8 @@ def multiply_adds_per_s() -> float:
 
 
 def copied_per_s(moved: int) -> float:
-    """Returns how many bytes a second one thread reads and writes in copies that move about ``moved`` bytes each,
-    always from and to the same memory."""
+    """Returns how many bytes a second one thread moves in copies; a copied byte counts twice, as read and as written.
+    One copy moves ``moved`` bytes, rounded up to a power of two, always from and to the same memory."""
     return _copied_per_s(max(1 << 12, 1 << (moved - 1).bit_length()))
 
 

@@ -23,8 +23,9 @@ class ChartConsensus(WithTables):
         super().__init__(_chart_tables())
 
     def posed(self, frames: PatchFrames, jet: Tensor) -> Tensor:
-        """Returns matrices (P, 3, 18) that give a place [m], relative to the root joint, from a column of rest place
-        and basis. ``jet`` (P, 27 or 45) [patch scales] is the change of the rest jets in ``frames``."""
+        """Returns matrices (P, 3, 18) that take a column, a rest place [patch scales] (3) and the basis there (15), to
+        a posed place [m] relative to the root joint. ``jet`` (P, 27 or 45) [patch scales] is the change of the rest
+        jets in ``frames``."""
         placed = self.placed_full if jet.shape[-1] == jets.FULL_COUNT else self.placed
         return frames.out @ torch.addmm(self.frame_only, jet, placed).reshape(-1, 4, COLUMNS)
 

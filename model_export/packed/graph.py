@@ -199,8 +199,8 @@ class PackedGraph(nn.Module):
 
 def surroundings_layer(layer: nn.Linear) -> nn.Parameter:
     """Returns the weights (108, n) of ``layer`` for the inputs of the packed graph: the joints' offsets as (3, 24), the
-    patch's rotation (9) and the jets of the agreed base (27). ``layer`` itself takes the offsets as (24, 3), gravity
-    (3) and these jets."""
+    patch's rotation (9) and the jets (27) with which rigid patches fit their blend. ``layer`` itself takes the offsets
+    as (24, 3), gravity (3) and these jets."""
     count = 3 * JOINT_COUNT
     weight = layer.weight.detach()
     base = weight[:, count + 3 :].T

@@ -32,8 +32,8 @@ def posed_skins(skins: ShapedSkins, rotation: Tensor, translation: Tensor) -> Te
 
 @dataclass(frozen=True)
 class NearPlanes:
-    """The body's tangent planes near the seven points of P patches, in the frames of the patches: at each point one of
-    the patch's own part of the body and one of its other parts.
+    """The body's tangent planes near the seven points of P patches, in the frames of the patches. Each point has two:
+    one of the part of the body that the patch lies on, and one of the body's other parts.
 
     Columns are sorted by axis, then part, then point. ``offset`` (P, 14) + the sum over axes of ``normal`` (P, 42) x
     place [patch scales] is the depth [cm] of a point below the height at which it feels the plane. ``share`` (P, 14),
@@ -119,8 +119,9 @@ def _skin_plane_tables() -> dict[str, Tensor]:
 
 
 def near_means(places: Tensor, middle: Tensor, skin: Tensor, lists: StoredProximity, patch_body: Tensor) -> Tensor:
-    """Returns the means (P, 8, 14) of the samples ``skin`` (B, R, 12, 8) around ``places`` [m] (P, 7, 3) as
-    ``drape.contact.field.attend`` weights them: seven of the patch's own part of the body, then seven of other parts.
+    """Returns the means (P, 8, 14) of the samples ``skin`` (B, R, 12, 8), their eight numbers first, around ``places``
+    [m] (P, 7, 3) as ``drape.contact.field.attend`` weights them: at the seven places those of the part of the body that
+    the patch lies on, then those of the other parts.
 
     ``middle`` (P, 4) is the mean place [m] of each patch, and 1; ``patch_body`` (P,) says on which body it is.
     """

@@ -36,8 +36,9 @@ STRESS = ((1.0 + TRACE_SHARE, TRACE_SHARE, 0.0), (TRACE_SHARE, 1.0 + TRACE_SHARE
 
 @dataclass(frozen=True)
 class Stretch:
-    """What ``Strain`` needs of P patches at rest, at seven points each: ``tangent`` (P, 63), the rest jets' derivatives
-    in the module's three directions, by direction, axis and point, and ``monomials`` (P, 42) by kind and point."""
+    """What ``Strain`` needs of P patches at rest, at seven points each. ``tangent`` (P, 63) are the rest jets'
+    derivatives in the module's three directions, by direction, axis and point. ``monomials`` (P, 42) are products of
+    two of a point's three numbers in ``strain_unit``, by ``MONOMIALS`` and point."""
 
     tangent: Tensor
     monomials: Tensor
