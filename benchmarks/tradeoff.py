@@ -201,9 +201,10 @@ def tiers_of(mean: Sequence[Row]) -> list[Row]:
     """Returns four rows of ``mean``, one for each tier from the least to the most. Raises ``InputError`` where ``mean``
     has none with folds or none without.
 
-    ``instant`` is the cheapest without folds that has ``LIFTED`` of what all corrections gain, ``fast`` the cheapest
-    with folds. ``accurate`` folds all vertices and has no more detail than ``DETAIL_MOST``, because gain does not see
-    fine folds and crossings; it gains the most of these. ``balanced`` is the cheapest that goes at least half of the
+    ``instant`` is the cheapest without folds that has ``LIFTED`` of the most that rows without folds gain over the
+    cheapest of these, ``fast`` the cheapest with folds. ``accurate`` folds all vertices and has no more detail than
+    ``DETAIL_MOST``, because gain does not see fine folds and crossings; it gains the most of these, or the most of all
+    with folds where no row is so. ``balanced`` is the cheapest that goes at least half of the
     way from the gain of ``fast`` to that of ``accurate``, and ``SMOOTHER`` of the way between their curvatures, which
     the eye sees first; among those at most ``AS_CHEAP`` times as dear it is the one with the least curvature. A tier's
     folds, and its passes under folds, are never less than those of the one below, and none is coarse above a fine one.

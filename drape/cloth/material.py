@@ -19,7 +19,7 @@ SIGNED = ("cross_n_per_m", "bending_2_j", "bending_4_j")
 class OrthotropicMaterial:
     """The constants of a cloth in panel axes, x along the weft and y along the warp: stiffness ``h00`` .. ``h22``
     [N/m], plate rigidity ``bending_j`` [J], and mass per area. Raises ``InputError`` where some strain would meet no
-    resistance.
+    resistance, for a rigidity below 0, for a mass that is not above 0, and for numbers that are not finite.
 
     The stress is s00 = h00 e00 + h01 e11, s11 = h01 e00 + h11 e11, s01 = h22 e01 with Green's strain e. An isotropic
     cloth has h00 = h11 = lambda + 2 mu, h01 = lambda, h22 = 2 mu.

@@ -32,6 +32,6 @@ def sweep(x: np.ndarray, problem: Problem, around: Around, guarded: bool, order:
 
 
 def diagonal_blocks(x: np.ndarray, problem: Problem, around: Around, blocks: np.ndarray) -> None:
-    """Writes to ``blocks`` [N/m] (V, 3, 3) the positive definite Hessian of each vertex by its own place, with which
-    ``sweep`` moves it."""
+    """Writes to ``blocks`` [N/m] (V, 3, 3) the Hessian of each vertex by its own place, made positive definite, with
+    which ``sweep`` moves it: the terms that could make it indefinite are left out."""
     call("diagonal", np.float64, x, problem, around, blocks)

@@ -62,8 +62,9 @@ def swing_mesh(
 ) -> SwingMesh | None:
     """Returns the coarse mesh of ``cloth`` of ``material`` that lies at ``rest`` [m] (V, 3), floats of ``dtype``.
 
-    ``held`` (V,) bool says which vertices never swing. It is None where all are held, or none: cloth that nothing holds
-    does not hang.
+    ``held`` (V,) bool says which vertices never swing. The mesh is None where no coarse triangle has a node that may
+    move, as in cloth that is held as a whole or is too small for a triangle, and where no vertex is held: cloth that
+    nothing holds does not hang.
     """
     graph = along_cloth(cloth)
     chosen, ways = _spread(graph, rest)

@@ -211,7 +211,8 @@ class Batch:
 
     @staticmethod
     def of_parts(clip: PoseInput, parts: Sequence[Batch]) -> Batch:
-        """Returns the batch of ``clip``, joined of the batches of its ``parts`` in their order."""
+        """Returns the batch of ``clip``, joined of the batches of its ``parts`` in their order. Codes, skin and steps
+        are those of the last part. A single part is returned as it is."""
         if len(parts) == 1:
             return parts[0]
         layers = [_whole(together) for together in zip(*(part.layers for part in parts), strict=True)]

@@ -46,8 +46,9 @@ class BodyInService(Protocol):
 class Entry:
     """A garment in service, which is also a scene of one layer.
 
-    ``path`` is its file. ``owner`` is the name of the API key that uploaded it, None for a shipped garment and where
-    the service asks for no keys. ``worn`` is the body that it was cut for, None for the standard one.
+    ``path`` is its file, None for a shipped garment and outside the service. ``owner`` is the name of the API key that
+    uploaded it, None for a shipped garment and for one that was uploaded without a key. ``worn`` is the body that it
+    was cut for, None for the standard one.
     """
 
     id: str

@@ -44,7 +44,8 @@ def _planes(array: np.ndarray) -> bytes:
 def unpack_folds(message: bytes) -> tuple[dict[str, Any], bytes]:
     """Returns the document in the FOLDS ``message``, and the bytes of all its arrays as they lie there.
 
-    Refuses (``InputError``) another version or kind, and a document that is no JSON.
+    Refuses (``InputError``) a message that is too short, another magic, version or kind, and a document that is no
+    JSON.
     """
     wire.check_prefix("folds message", message, wire.FOLDS, least=_HEADER.size)
     end = _HEADER.size + _HEADER.unpack_from(message)[-1]

@@ -75,7 +75,8 @@ class SelfContact:
         self._keys = np.repeat(np.arange(self.count), np.diff(ring.indptr)) * self.count + ring.indices
 
     def springs(self, x: np.ndarray) -> SpringForces:
-        """Returns the springs that push the pairs of ``near`` apart, nodes at ``x`` [m] (V, 3); zero at fixed nodes."""
+        """Returns the springs that push near pairs of elements (``near``) apart, for nodes at ``x`` [m] (V, 3); they
+        are zero at fixed nodes."""
         near = self.near(x)
         push = self.stiffness * (self.thickness_m - near.gap_m)
         along = near.weights[:, :, None] * near.normals[:, None]  # (n, 4, 3): derivative of the gap

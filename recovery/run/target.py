@@ -295,12 +295,13 @@ def check_near(mesh: GarmentMesh, skin: Avatar) -> None:
 def close_but_openings(
     mesh: GarmentMesh, joints: np.ndarray, wanted: dict[str, int] | None = None
 ) -> tuple[GarmentMesh, dict[str, int]]:
-    """Returns ``mesh`` with all borders closed that are no openings, and how many openings each part of the body has,
-    by its name.
+    """Returns ``mesh`` with all borders closed that are no openings, and with the bites of the openings filled; and how
+    many openings each part of the body has, by its name.
 
     ``joints`` [m] (24, 3) are the body's. An opening is a border that bones pass through, or a folded cuff beside them.
-    If a part has more of them than ``wanted``, those that lie in the cloth are taken for holes: the body's fit may have
-    put a leg behind a hole.
+    Of a part with more of them than ``wanted``, 0 if it is not named there, those beyond that number that lie flattest
+    in the cloth are taken for holes, unless the cloth there looks sideways as at a cuff: the body's fit may have put a
+    leg behind a hole. None sets no limit.
     """
     chains = bone_chains(joints)
     loops = {border.loop.tobytes(): border for border in borders(mesh)}

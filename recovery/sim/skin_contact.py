@@ -74,8 +74,9 @@ def bare(body: SignedDistance) -> SignedDistance:
 class GridDistance:
     """The signed distance of a body: a C2 tricubic B-spline through ``values`` [m] (X, Y, Z) on a grid.
 
-    The value at ``index`` lies at ``origin`` [m] (3,) + ``spacing_m`` * index. Outside the grid the distance to the
-    grid is added.
+    The value at ``index`` lies at ``origin`` [m] (3,) + ``spacing_m`` * index. The spline reaches from
+    the second node of each axis to the last but one; beyond, in the outermost cells too, the distance from there is
+    added.
     """
 
     def __init__(self, values: np.ndarray, origin: np.ndarray, spacing_m: float) -> None:

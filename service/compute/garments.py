@@ -200,8 +200,9 @@ def slug(name: str) -> str:
 
 
 def check_garment(garment: Garment, body: BodyModel, *, max_vertices: int) -> None:
-    """Refuses a garment that was made for another body than ``body`` or whose arrays do not fit together
-    (``ArtifactError``), and one of more than ``max_vertices`` vertices (``TooLarge``)."""
+    """Refuses a garment that was made for another body than ``body``, or whose arrays do not fit together or have
+    numbers that are not finite (``ArtifactError``), and one of more than ``max_vertices`` vertices, delivered or drawn
+    (``TooLarge``)."""
     label, cure = f"garment {garment.name}", INTAKE
     if garment.body_digest != body.digest:
         raise ArtifactError(

@@ -45,7 +45,7 @@ class AcceptedClip:
     problem: dict[str, Any] | None = None
 
     def add_attempt(self, folder: Path) -> AcceptedClip:
-        """Adds one to ``attempts``, writes the record to ``folder`` and returns it."""
+        """Returns this record with one more of ``attempts``, and writes that to ``folder``."""
         again = replace(self, attempts=self.attempts + 1)
         again.write(folder)
         return again

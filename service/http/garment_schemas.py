@@ -91,9 +91,12 @@ class CoveredFaces(BaseModel):
         description="The number of faces of GET /avatars/{id}/bare, to be drawn where its clothes are left out. 0: "
         "there is no such file."
     )
-    skin_colour: list[float] = Field(description="The mean colour of its skin, sRGB, 0 to 1.")
+    skin_colour: list[float] = Field(
+        description="The mean colour of its skin, sRGB, 0 to 1; where no skin shows that of its face, or of all faces."
+    )
     primitives: list[CoveredPrimitive] = Field(
-        description="The covered triangles of each primitive of its file, in the order of the file's nodes."
+        description="The covered triangles of each primitive of its file that moves with the skeleton: those of "
+        "skinned meshes first, then those that hang on bones, parents before children."
     )
 
 

@@ -52,7 +52,8 @@ class JobRecord:
 
 
 def read_job_record(root: Path, job_id: str) -> JobRecord | None:
-    """Returns the record of the upload ``job_id`` under ``root``; None if there is none."""
+    """Returns the record of the upload ``job_id`` under ``root``. None if there is none, or if it cannot be read or
+    does not fit, which is logged."""
     return json_records.read_record(JobRecord, _path(root, job_id))
 
 
