@@ -114,8 +114,9 @@ class Distilled:
         return float(scale * np.sqrt((off**2).sum(axis=-1).mean()))
 
     def local(self, motion: RigMotion, moves: np.ndarray) -> np.ndarray:
-        """Returns the motions (F, E, 3, 4) of the own joints as seen from their parents. ``moves`` (F, E, 3, 4) are
-        their motions in the frame of the pelvis."""
+        """Returns the motions (F, E, 3, 4) of the garment's E own joints from the bind pose, as seen from their
+        parents; translations are in the unit of the file. ``moves`` (F, E, 3, 4) are these motions in the frame of the
+        pelvis."""
         return compose(affine_inverse(self.above(motion)[:, self.parents]), moves)
 
 

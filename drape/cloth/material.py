@@ -98,7 +98,7 @@ class Material:
 
     @property
     def bending(self) -> tuple[float | Array, ...]:
-        """The coefficients (b, b2, b4) [J] of the hinges' rigidity."""
+        """The coefficients (b, b2, b4) [J] of the hinges' rigidity, as in ``fabric.hinge_harmonics``."""
         return self.bending_j, self.bending_2_j, self.bending_4_j
 
     def scaled(self, stiffness: float) -> Material:

@@ -213,8 +213,8 @@ def _other_parts(start: Array, skin: Array, feed: PushFeed) -> tuple[Array, Arra
 
 def samples_in(top: Array, skin: Array, other: Array, groups: int) -> tuple[Array, Array]:
     """Returns the samples of the two regions ``top`` (F, G, 2) that each of G ``groups`` has chosen: their rows (F, G,
-    24, 8) of ``skin`` (F, R, 12, 8), and their numbers (F, G, 24) in ``other``, which has a number for each of the 12 R
-    samples of each group, group by group."""
+    24, 8) of ``skin`` (F, R, 12, 8), and their entries (F, G, 24) of ``other`` (12 R G,). That says for each sample,
+    group by group, how far it is of another part of the body (``PushFeed.other``)."""
     xp = namespace(skin)
     frames, regions, count = skin.shape[0], count_of(skin[0, :, 0, 0], top.dtype), REGION_COUNT * REGION_SIZE
     frame = regions * xp.arange(frames, dtype=top.dtype, device=device(top))[:, None, None]

@@ -54,7 +54,7 @@ class FrameTemplate:
 
     @property
     def size(self) -> int:
-        """Returns the number of 64-bit words in a row."""
+        """Returns the number of 64-bit words in the row of a frame."""
         return len(self.words)
 
     def fill(self, rows: np.ndarray, at: np.ndarray) -> None:

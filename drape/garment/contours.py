@@ -205,7 +205,7 @@ def part_round(contour: Contour, chains: dict[str, tuple[np.ndarray, float]]) ->
 def place_of(contour: Contour, chains: dict[str, tuple[np.ndarray, float]]) -> ContourPlace:
     """Returns the place of ``contour`` along the part of the body that it goes around. ``chains``: what ``bone_chains``
     returns. Where no bone passes through, as through a cuff that lies folded, the part with the nearest bone counts if
-    the bone is nearer to the centre than a round contour of that length would be."""
+    the bone is nearer to the centre than a round contour of that length would be; else the place has the part None."""
     nearest = {part: _nearest(contour.centre, chain) for part, (chain, _) in chains.items()}
     part = part_round(contour, chains)
     if part is None:

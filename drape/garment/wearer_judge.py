@@ -41,8 +41,8 @@ def judge(
     cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: np.ndarray, odd_arms: float
 ) -> WearerCandidate:
     """Returns ``body`` with ``parameters`` (``unpack_parameters``) as a candidate, with the energy and the faults of
-    the cloth on it, in the frame that ``reading`` gives. ``odd_arms``: what the arms cost that the fit started from, as
-    in ``KNOWN``."""
+    the cloth on it. Body and cloth lie in the frame that ``reading`` gives. ``odd_arms`` is added to the energy: the
+    cost of the arms in ``KNOWN`` from which the body was fitted."""
     points, skin = reading.apply(cloth.points), posed_by(body, parameters)
     distance = _distance(points, skin, body)
     band = points[:, 1] > points[:, 1].max() - BAND_M

@@ -69,8 +69,9 @@ class Contact(WithTables):
     def near(
         self, points: Tensor, skin: Tensor, lists: StoredProximity, patch_body: Tensor, frames: PatchFrames
     ) -> NearPlanes:
-        """Returns the planes near ``points`` (P, 42) [patch scales] of the posed samples ``skin`` (B, R, 12, 8);
-        ``patch_body`` (P,) says on which body each patch is."""
+        """Returns the two planes near each of the seven points of P patches, ``points`` (P, 42) [patch scales], in the
+        columns of ``NearPlanes``. ``skin`` (B, R, 12, 8) are the posed samples of B bodies, ``patch_body`` (P,) says on
+        which body each patch is, and ``lists`` has the samples near each patch at rest."""
         world = (frames.rotation * frames.scale) @ points.reshape(-1, 3, PLACES) + frames.centre
         middle = torch.addmm(self.middle_last, world.reshape(-1, 3 * PLACES), self.middle_terms)
         means = near_means(world[:, :, :STRAIN_POINTS].mT, middle, skin, lists, patch_body)

@@ -144,8 +144,9 @@ def _waist(draped: Draped, matches: list[Match], there: list[Contour]) -> tuple[
 
 
 class RestDrape:
-    """The drape at rest of ``mesh`` on ``body`` as a function of panel vertices. The nodes ``held`` (n,) stay where
-    they are. With a ``belt`` they are those that it holds, and they lie at ``Belt.places``.
+    """The drape at rest of ``mesh`` on ``body``, as a function that gives the nodes [m] (N, 3) for panel vertices [m]
+    (P, 2). The nodes ``held`` (n,) stay where they are. With a ``belt`` they are those that it holds, and they lie at
+    ``Belt.places``.
 
     There is no friction, so the shape depends on the panels and not on the way there, as long as it stays in one basin.
     """

@@ -36,10 +36,10 @@ class SkirtCut:
     """The measures of a skirt, lengths [m]: ``length_m`` from waistband to hem, ``drop_m`` of the skirt's upper edge
     below the waist, ease that is added to the body's girths, and the width ``band_m`` of the waistband.
 
-    ``flare_m`` is added to the half width of each panel from waist to hem at least; a circle starts in ``flutes``. A
-    fitted skirt has no band and no flutes, but any number of ``panels``. ``spread`` is the share of the hem's extra
-    width over the waist that slashes in the panels give. The side seams give the rest. With 1 the panels are sectors
-    of a ring.
+    ``flare_m`` is added to the half width of each panel from waist to hem at least; a circle skirt starts as so many
+    waves as ``flutes`` says. A fitted skirt has no band and no flutes, and is cut in any number of ``panels``, other
+    skirts in two. ``spread`` is the share of the hem's extra width over the waist that slashes in the panels give. The
+    side seams give the rest. With 1 the panels are sectors of a ring.
     """
 
     name: str

@@ -220,9 +220,11 @@ def collarless(
 ) -> tuple[GarmentMesh, tuple[str, ...], float]:
     """Returns ``mesh`` without its collar, a tuple with a sentence on that, and the collar's width [m].
 
-    The tuple is empty without a collar, and the width 0 where none is drafted. ``there`` has the number of openings of
-    each part of the body, ``joints`` [m] (24, 3) are those of ``wearer`` in the target's pose. A collar stays where
-    openings would change. Its width, stand and fall together, is its area over the length of the neckline that is left.
+    Without a collar ``mesh`` is returned as it is, with an empty tuple. The width is 0 where the pattern shall have no
+    collar: without one, with one that is too narrow or too wide to be drafted, and with one that stays. ``there`` has
+    the number of openings of each part of the body, ``joints`` [m] (24, 3) are those of ``wearer`` in the target's
+    pose. A collar stays, as the sentence says, where openings would change without it. Its width, stand and fall
+    together, is its area over the length of the neckline that is left.
     """
     if there != OF_TOPS:
         return mesh, (), 0.0

@@ -221,8 +221,8 @@ async def posed_body(body_id: str, request: Request, state: StateHere, client: C
     responses=responses(*CLIP_REFUSALS, kinds=(BINARY, JSON)),
 )
 async def posed_avatar(avatar_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
-    """Returns the vertices [m] of a character's own surface, posed as POST /drape poses it under garments. Formats are
-    binary and JSON.
+    """Returns the vertices [m] of a character's own surface in every frame of the clip, posed as POST /drape poses it
+    under garments. The Accept header chooses binary or JSON, in the forms that POST /drape has.
     """
     await state.avatar(avatar_id, client)
     state.check_slot()

@@ -123,7 +123,7 @@ async def body(body_id: str, state: StateHere, betas: Betas = None) -> schemas.B
     responses=responses(InputError, NotFound, NotAcceptable, BodyError, kinds=(GLB, BINARY)) | KNOWN,
 )
 async def body_mesh(body_id: str, request: Request, state: StateHere, betas: Betas = None) -> Response:
-    """Returns the mesh of the body at rest in the shape ``betas`` [m]. The Accept header chooses JSON, a GLB or a BODY
+    """Returns the mesh [m] of the body at rest in the shape ``betas``. The Accept header chooses JSON, a GLB or a BODY
     message (docs/reference/wire.md); the latter two have the 24 joints as a skeleton.
     """
     runtime = state.runtime
