@@ -69,7 +69,8 @@ def encoder_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
 
 
 def encoder_outputs(model: OneFit) -> tuple[TensorSpec, ...]:
-    """Outputs of the garment encoder graph."""
+    """Outputs of the garment encoder graph where the model has no packed graph; otherwise they are
+    ``first_outputs``."""
     return (TensorSpec("patch_embedding", ("patches", model.config.embedding_size), "float32", "1"),)
 
 

@@ -52,7 +52,8 @@ def config_from(data: dict[str, Any]) -> TrainConfig:
 def model_config_from(data: dict[str, Any]) -> ModelConfig:
     """Returns the sizes of a network from its fields by name, with tuples or lists for tuples.
 
-    Raises ``ValueError`` where ``data`` is of a network without a part that its variant has now.
+    Raises ``ValueError`` where ``data`` is of a network without a part that its variant has now, or with one that its
+    variant has not.
     """
     sizes = {name: value for name, value in _tuples(data).items() if name not in FORMER_SWITCHES}
     config = ModelConfig(**sizes)

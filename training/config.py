@@ -150,18 +150,18 @@ class MotionConfig:
 class TrainConfig:
     """The settings of a run: network, data, time, rates, and the weights of the parts of the loss.
 
-    ``batch_size``: frames, of a dynamic model windows, per step of each process. ``disagreement_weight``
-    [J/m^4] grows linearly from the share ``early_agreement`` to all of it over a static run: charts that
-    must agree from the start learn slower. ``contact_knee_j_m2``: contact energy per area of a frame above
-    which it counts by its logarithm.
-    ``full_share``: steps that take all passes of corrections, ``bare_share`` those that take none; the others take any
-    number, so that the model drapes with fewer as well. ``autocast``: the matrices of the network in bfloat16. In
-    ``smooth_share`` of the steps poses come as three in a row, ``smooth_step_rad`` apart in every joint but the root,
-    and ``smooth_weight`` [J/m^4] times the mean squared second difference of the vertices joins the loss: a drape
-    that minimises energy frame by frame jumps from one way out of the body to another.
-    With settled drapes at hand (training.settled) steps that take no pass lower ``settled_weight`` [J/m^4] times
-    the mean squared distance to those, contact, and the share ``settled_energy`` of the rest of the energy.
-    ``area_weight`` [J/m^2] times ``losses.lost_area`` joins every loss: a network that leaves folds their room.
+    ``batch_size``: frames, of a dynamic model windows, per step of each process. ``disagreement_weight`` [J/m^4] grows
+    linearly from the share ``early_agreement`` to all of it over a static run: charts that must agree from the start
+    learn slower. Steps toward settled drapes take all of it from the start. ``contact_knee_j_m2``: contact energy per
+    area of a frame above which it counts by its logarithm. ``full_share``: steps that take all passes of corrections,
+    ``bare_share`` those that take none; the others take any number, so that the model drapes with fewer as well.
+    ``autocast``: the matrices of the network in bfloat16. In ``smooth_share`` of the steps poses come as three in a
+    row, a random step apart that has the standard deviation ``smooth_step_rad`` in every component of every joint but
+    the root, and ``smooth_weight`` [J/m^4] times the mean squared second difference of the vertices joins the loss: a
+    drape that minimises energy frame by frame jumps from one way out of the body to another. With settled drapes at
+    hand (training.settled) steps that take no pass lower ``settled_weight`` [J/m^4] times the mean squared distance to
+    those, contact, the share ``settled_energy`` of the rest of the energy, and disagreement. ``area_weight`` [J/m^2]
+    times ``losses.lost_area`` joins every loss of a static run: a network that leaves folds their room.
     """
 
     model: ModelConfig = field(default_factory=ModelConfig)

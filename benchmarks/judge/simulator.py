@@ -76,7 +76,7 @@ def grip(descent: Descent, x: np.ndarray, stuck: np.ndarray, friction: float) ->
     [N/m] (V,).
 
     Each vertex would be at ``stuck`` [m] (V, 3) had it not slipped. The force is ``friction`` times that of contact in
-    ``descent``.
+    ``descent``, and less in proportion where the slip along the skin is below ``SLIP_M``.
     """
     around, _ = descent.around(x)
     normal = around.normal / np.maximum(np.linalg.norm(around.normal, axis=1, keepdims=True), 1e-12)

@@ -235,7 +235,8 @@ def _shape_only(vertices: np.ndarray, avatar: Avatar, body: BodyModel) -> np.nda
 def subdivide_smooth(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns vertices [m] (N, 3), faces (4F, 3) and the two parents (N, 2) of each vertex after one round of
     subdivision, in the order of ``meshes.subdivide``. Old vertices stay in place. A new vertex is the middle of the
-    cubic edge of a PN triangle (Vlachos et al. 2001), which turns facets into a round surface."""
+    cubic edge of a PN triangle (Vlachos et al. 2001), which turns facets into a round surface; but it leaves its edge
+    by at most ``PN_LIMIT`` of its length, and by less where the normals of both ends are over 60 degrees apart."""
     flat, fine, parents = meshes.subdivide(vertices, faces)
     normals = meshes.vertex_normals(vertices, faces)
     a, b = parents[len(vertices) :].T

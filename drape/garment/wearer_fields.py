@@ -203,8 +203,8 @@ def enclosed(points: np.ndarray, bones: Bones) -> tuple[np.ndarray, np.ndarray]:
 
 
 def unthreaded(loops: np.ndarray, joints: np.ndarray) -> int:
-    """Returns how many of the closed polylines ``loops`` [m] (L, n, 3) have no bone through them. ``joints`` [m] (24,
-    3)."""
+    """Returns how many of the closed polylines ``loops`` [m] (L, n, 3) have none of ``bone_chains`` through them, which
+    crosses the fan around a loop's mean more often one way than the other. ``joints`` [m] (24, 3)."""
     a, b = loops, np.roll(loops, -1, axis=1)
     c = np.broadcast_to(loops.mean(axis=1, keepdims=True), a.shape)
     normal = np.cross(b - a, c - a)

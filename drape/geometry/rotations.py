@@ -150,7 +150,7 @@ def sixd_to_matrix(sixd: Array) -> Array:
 
 def cross(a: Array, b: Array) -> Array:
     """Returns the cross products (..., 3) of ``a`` and ``b`` (..., 3), broadcast. It is written out because torch's
-    ``cross`` does not broadcast."""
+    ``cross`` refuses arrays with different numbers of axes."""
     xp = namespace(a)
     return xp.stack(
         [

@@ -99,7 +99,8 @@ def pack_jets(frame: JetFrame) -> bytes:
 
 
 def unpack_jets(message: bytes) -> JetFrame:
-    """Returns the frame in the JETS ``message``; refuses (``InputError``) another size, version or kind."""
+    """Returns the frame in the JETS ``message``; refuses (``InputError``) another size, magic, version or kind, and
+    rotations that are no unit quaternions."""
     wire.check_prefix("jets message", message, wire.JETS, least=HEADER_BYTES)
     values = _HEADER.unpack_from(message)
     count = values[5]

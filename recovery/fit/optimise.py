@@ -73,8 +73,8 @@ DEFAULT_OPTIONS = FitOptions()
 
 class Evaluation(NamedTuple):
     """A point of the search: the unknowns ``values`` [m] (Z,), which are free values of the control points, the drape's
-    ``nodes`` [m] (N, 3), the loss and its parts surface and contours ``terms`` [m^2] (3,), and the loss's ``gradient``
-    [m] (Z,)."""
+    ``nodes`` [m] (N, 3), ``terms`` [m^2] (3,), and the loss's ``gradient`` [m] (Z,). ``terms`` are the loss, and
+    surface and contours, whose sum times the regularisation it is."""
 
     values: np.ndarray
     nodes: np.ndarray

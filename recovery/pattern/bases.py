@@ -46,7 +46,7 @@ class DressCut(TopCut):
 
 def draft_dress(body: BodyMeasurements, cut: DressCut) -> Design:
     """Returns the dress that ``cut`` describes, drafted for ``body``. Raises ``InputError`` where its lines do not
-    meet."""
+    meet, where ease at chest or hips or the gather is below 0, and for a sleeve that ``set_sleeves`` refuses."""
     _, _, underarm, (_, hem) = lines(body, cut)
     seam = body.waist_y - cut.waist_drop_m
     waist, hips = (0.25 * (body.girth_at(seam) + cut.waist_ease_m), 0.25 * (body.hip_girth + cut.hip_ease_m))

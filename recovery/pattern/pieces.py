@@ -248,7 +248,7 @@ def cut_count(panel: Panel) -> int:
 
 def is_of_back(pattern: Pattern, ref: EdgeRef, other: EdgeRef) -> bool:
     """Returns whether of the panels of the edges ``ref`` and ``other``, which are sewn together, one is of the back and
-    none of the front. Such a seam has two notches in its middle."""
+    none of the front. Such a seam has two notches in its middle if it is longer than ``SHORTEST_BACK_M``."""
     sides = {side_of(pattern.panel(edge.panel)) for edge in (ref, other)}
     return "back" in sides and "front" not in sides
 
