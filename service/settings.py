@@ -33,7 +33,7 @@ def page_folder(page: str) -> Path:
 
 PAGE = page_folder("dist")
 # Variables that begin with DRAPE_ too and that other parts of the product, or its tests, read.
-OTHERS = ("BPY", "CACHE", "CURVATURE", "DATA", "ENGINE", "ISA", "KEY", "SYSTEM", "TEST_RUN", "URL")
+OTHERS = ("BPY", "CACHE", "DATA", "ENGINE", "ISA", "KEY", "SYSTEM", "TEST_RUN", "URL")
 
 
 class Settings(BaseSettings):

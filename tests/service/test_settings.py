@@ -12,8 +12,8 @@ import pytest
 
 from drape.errors import InputError, Unavailable
 from service.server import bind_listener
-from service.settings import Settings, load_settings, unread_variables
-from tests.architecture.repository import ROOT
+from service.settings import OTHERS, Settings, load_settings, unread_variables
+from tests.architecture.repository import ROOT, repository_files
 
 
 def test_environment_sets_and_arguments_win(monkeypatch: pytest.MonkeyPatch):
@@ -52,6 +52,12 @@ def test_a_variable_that_nothing_reads_is_told(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("DRAPE_PROT", "8123")
     monkeypatch.setenv("DRAPE_ISA", "v3")
     assert "DRAPE_PROT" in unread_variables() and not {"DRAPE_ISA", "DRAPE_PORT"} & set(unread_variables())
+
+
+def test_other_variables_that_are_known_are_read_somewhere():
+    sources = [path for path in repository_files() if path.suffix == ".py"]
+    texts = [path.read_text(encoding="utf-8") for path in sources]
+    assert [name for name in OTHERS if not any(f'"DRAPE_{name}"' in text for text in texts)] == []
 
 
 def test_an_unknown_argument_is_refused():
