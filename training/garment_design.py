@@ -2,7 +2,7 @@
 
     python -m training.garment_design [NAME ...] [--out runs/cut_garments]
 
-The product ships garments that are sewn (recovery.catalogue); six of these have names of sewn ones.
+The product ships garments that are sewn (recovery.catalogue); these have names of sewn ones.
 A design names where the surface is cut (hem, sleeve, neckline, armhole) and how far it
 stands off the body (ease, flare).
 Lengths in metres on the standard body at rest, y up; heights of a design count from the floor.

@@ -1,6 +1,6 @@
 """The shipped kind of network on a processor: the engine (``drape.engine``) in place of an inference engine's graphs.
 
-Most of the graphs' eight hundred operations are so small that an inference engine takes longer to begin one than to
+Most of the graphs' hundreds of operations are so small that an inference engine takes longer to begin one than to
 compute it.
 """
 
