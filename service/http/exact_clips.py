@@ -37,10 +37,8 @@ START = {"tier": "accurate", "knob": 0.0, "resolution": "fine"}  # the drape tha
 
 def check_exact(request: schemas.ClipOptions) -> None:
     """Refuses (``InputError``) options of ``request`` that a clip of tier exact cannot have."""
+    _check_single(len(request.garments or ()))
     cure = "Leave it out, or ask for tier accurate."
-    if request.garments is not None and len(request.garments) > 1:
-        cure, got = "Ask for one garment, or for tier accurate.", f"{len(request.garments)} garments"
-        raise InputError("garments", expected="one garment with tier exact", got=got, cure=cure)
     for name in WITHOUT:
         if value := _value(request, name):
             raise InputError(name, expected="none with tier exact", got=f"{value!r:.40}", cure=cure)
@@ -50,15 +48,23 @@ def check_exact(request: schemas.ClipOptions) -> None:
             raise InputError(label, expected=f"{fixed} with tier exact", got=str(value), cure=cure)
 
 
+def _check_single(garments: int) -> None:
+    if garments > 1:
+        cure = "Ask for one garment, or for tier accurate."
+        raise InputError("garments", expected="one garment with tier exact", got=f"{garments} garments", cure=cure)
+
+
 def _value(request: schemas.ClipOptions, name: str) -> Any:
     return getattr(request.advanced if name in Advanced.model_fields else request, name)
 
 
 async def submit_clip(request: schemas.ClipOptions, clip: PoseInput, state: State, client: Client) -> ExactJob:
-    """Checks ``request``, stores it with the motion of ``clip``, queues it and returns its job. Refuses as
-    ``check_exact``, ``Runtime.plan`` and ``ExactClips.check_place`` do."""
+    """Checks ``request``, stores it with the motion of ``clip``, queues it and returns its job. Refuses several
+    garments (``InputError``), among which an avatar's own clothes count, and what ``check_exact``, ``Runtime.plan`` and
+    ``ExactClips.check_place`` refuse."""
     check_exact(request)
     scene = await state.requested_scene(request, client)
+    _check_single(len(scene.layers))
     state.runtime.plan(scene, request.model_copy(update=START))  # refuses options now rather than in the job
     (entry,) = scene.layers
     state.exact.check_place(len(clip.poses), entry.fine.vertex_count)

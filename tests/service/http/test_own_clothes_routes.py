@@ -115,6 +115,11 @@ def test_their_faces_are_hidden_and_what_they_replace_is_not(api: httpx.Client, 
     assert own["share"] > 0.0
 
 
+def test_they_are_garments_too_where_only_one_is_draped(api: httpx.Client, dressed: str):
+    refused = api.post("/drape", json={"avatar": dressed, "poses": POSES.tolist(), "alive": True, "tier": "exact"})
+    assert (refused.status_code, refused.json()["expected"]) == (400, "one garment with tier exact"), refused.text
+
+
 @pytest.mark.parametrize("asked", [{}, {"garment": "tube"}])
 def test_clothes_of_nobody_are_refused(api: httpx.Client, asked: dict[str, str]):
     refused = api.post("/drape", json={"poses": POSES.tolist(), "alive": True, **asked})
