@@ -60,7 +60,7 @@ def test_junk_fails_with_a_sentence_and_leaves_nothing(uploads: httpx.Client, up
         assert problem["cure"] and problem["expected"] in problem["detail"]
         assert str(upload_settings.garments_dir) not in problem["detail"]
     assert [garment["source"] for garment in uploads.get("/garments").json()] == ["shipped"]
-    assert files_in(upload_settings.garments_dir) == []
+    wait_until(lambda: not files_in(upload_settings.garments_dir), missing="files")  # they go right after the job ends
 
 
 def test_of_an_intakes_notes_the_warnings_are_told_and_kept(tmp_path: Path, tube: Garment):
