@@ -89,7 +89,12 @@ def accessory_wearer(mesh: GarmentMesh, body: BodyModel, hints: ReadingHints = N
         _spots(points, level, body, hints), key=lambda spot: spot.far - (IN_PLACE_M if spot.origin else 0.0)
     ):
         likeliest.setdefault((spot.reading, spot.bones), spot)
-    likely = [spot for spot in likeliest.values() if spot.bones != ("head",) or not _has_waist(mesh, spot.reading)]
+    if not likeliest:
+        return None
+    openings = _openings(mesh)
+    likely = [
+        spot for spot in likeliest.values() if spot.bones != ("head",) or not _has_waist(mesh, openings, spot.reading)
+    ]
     for spot in likely[:TRIED]:
         parameters = known_parameters(body, spot.shape, 0.0, 0.0)
         parameters[-3:] -= spot.move
@@ -100,7 +105,7 @@ def accessory_wearer(mesh: GarmentMesh, body: BodyModel, hints: ReadingHints = N
         if spot.origin and spot.bones == ("head",) and (hooded := _hooded(mesh, worn, hints)) is not None:
             return hooded
         worn, bones = _seated(mesh, worn, spot.bones)
-        if bones and (are_glasses(spot.reading.apply(points)) or len(_openings(mesh)) <= MOST_OPENINGS):
+        if bones and (are_glasses(spot.reading.apply(points)) or len(openings) <= MOST_OPENINGS):
             return worn
     return None
 
@@ -164,9 +169,9 @@ def _openings(mesh: GarmentMesh) -> list[Contour]:
     return [one for one in open_contours(mesh.vertices, largest) if one.length_m > least]
 
 
-def _has_waist(mesh: GarmentMesh, reading: Reading) -> bool:
-    """Whether ``mesh`` is higher than a headband, with a wide opening at its upper end."""
-    height, openings = reading.apply(mesh.vertices[np.unique(mesh.faces)])[:, 1], _openings(mesh)
+def _has_waist(mesh: GarmentMesh, openings: list[Contour], reading: Reading) -> bool:
+    """Whether ``mesh`` is higher than a headband, with a wide one of its long ``openings`` at its upper end."""
+    height = reading.apply(mesh.vertices[np.unique(mesh.faces)])[:, 1]
     above = height.min() + WAIST_ABOVE * np.ptp(height)
     wide = [one.points for one in openings if one.length_m > WAIST_LENGTH * openings[0].length_m]
     return np.ptp(height) > HEADBAND_M and any(reading.apply(points)[:, 1].min() > above for points in wide)
