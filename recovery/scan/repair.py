@@ -126,8 +126,7 @@ def check_closed_round(mesh: GarmentMesh) -> None:
 
 
 def faces_of_label(mesh: GarmentMesh, label: str) -> GarmentMesh:
-    """Returns the faces of ``mesh`` whose material is the first one called ``label``. Raises ``MeshError`` where there
-    are none."""
+    """Returns the faces of ``mesh`` with the first material called ``label``. Raises ``MeshError`` for none."""
     if label not in mesh.material_names:
         names = ", ".join(mesh.material_names)
         raise MeshError("--label", expected=f"one of {names}", got=label, cure="Name a material of the file.")
