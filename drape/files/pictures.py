@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from drape.errors import MeshError
 from drape.files.ktx2 import SIGNATURE, ktx2_picture
 from drape.files.looks import Looks, replace_pictures
+from drape.files.notes import absent_picture
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -76,7 +77,7 @@ def remake_pictures(looks: Looks) -> tuple[Looks, tuple[str, ...]]:
                 raise MeshError(f"picture {number}", expected=most, got="more", cure=cure)
             cleaned.append(png)
         except MeshError as error:
-            notes.append(f"warning: a picture is left out: {error}")
+            notes.append(absent_picture(error))
             cleaned.append(None)
     return replace_pictures(looks, cleaned), tuple(notes)
 

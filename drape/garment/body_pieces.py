@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
 from drape.errors import MeshError
+from drape.files.notes import warning
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.jewellery import BULKY
 from drape.garment.registration import posed_by
@@ -50,7 +51,7 @@ def without_bodies(mesh: GarmentMesh, body: BodyModel) -> GarmentMesh:
             got="what looks like a body, and no garment on it",
             cure="Export the garment without the body. A character with bones is an avatar: POST /avatars.",
         )
-    note = f"warning: what looks like a body is left out, {int((~keep).sum()):,} faces"
+    note = warning(f"what looks like a body is left out, {int((~keep).sum()):,} faces")
     return with_used_vertices(mesh.take_faces(keep)).noted(note)
 
 

@@ -27,6 +27,7 @@ from drape.cloth.rest_state import RestState
 from drape.errors import ArtifactError, NotFound, Unavailable, refusing
 from drape.files.atomic import whole_file
 from drape.files.looks import NO_LOOKS, Looks, looks_of
+from drape.files.notes import warnings_of
 from drape.files.packed import UNREADABLE, pack, read_packed
 from drape.folders import ASSETS, RUNS
 from drape.garment.bound import ARRAYS as BOUND_ARRAYS
@@ -40,7 +41,6 @@ READ_VERSIONS = (1, FILE_VERSION)  # files of the first version also hold arrays
 GARMENTS_DIR = ASSETS / "garments"
 OWN_GARMENTS_DIR = RUNS / "garments"  # garments of users, which the service reads too
 CHARTS_PER_VERTEX = 4
-WARNING = "warning: "  # a note that begins so is for whoever sent the file
 SAME_M = 5e-7  # rounding of float32 for positions within a few metres
 
 
@@ -218,10 +218,8 @@ class Garment(Atlas):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Returns the notes of intake for whoever sent the file: those of ``manifest`` that begin with ``WARNING``,
-        without that word."""
-        notes = self.manifest.get("notes", ())
-        return tuple(note.removeprefix(WARNING) for note in notes if note.startswith(WARNING))
+        """Returns the notes of intake for whoever sent the file: the warnings of its manifest."""
+        return warnings_of(self.manifest.get("notes", ()))
 
 
 _BY_COLUMNS = ("vertices", "uv", "chart_uv", "chart_weight", "chart_residual")

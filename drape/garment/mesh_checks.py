@@ -16,6 +16,7 @@ import numpy as np
 
 from drape.arrays import check_finite
 from drape.errors import MeshError
+from drape.files.notes import warning
 from drape.garment.avatars import Avatar
 from drape.garment.files.mesh import VERTEX_LIMIT, GarmentMesh, check_count
 from drape.geometry import mesh_graphs, meshes
@@ -291,7 +292,7 @@ def describe(mesh: GarmentMesh) -> list[str]:
     closed = len(pieces) - len(opened)
     if closed:
         notes.append(
-            f"warning: {closed} closed piece{'s' if closed > 1 else ''}: cloth is a surface with openings, not a solid"
+            warning(f"{closed} closed piece{'s' if closed > 1 else ''}: cloth is a surface with openings, not a solid")
         )
     notes.append(f"{len(loops)} openings")
     return notes

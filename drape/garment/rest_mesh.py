@@ -8,6 +8,7 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
+from drape.files.notes import warning
 from drape.garment.accessories import bones_that_carry, carried_rows
 from drape.garment.avatars import Avatar
 from drape.garment.bound import BoundMesh
@@ -93,7 +94,7 @@ def rest_mesh(
     compact, kept = without_unused(checked)
     if carriers:
         moved = _carried(compact, avatar, body, carriers)
-        compact = compact.noted(f"warning: carried by the bones {', '.join(carriers)}, as no cloth is")
+        compact = compact.noted(warning(f"carried by the bones {', '.join(carriers)}, as no cloth is"))
     elif _is_mantle(compact, avatar, body):
         moved = spread(compact.vertices, compact.faces, avatar, body)
         compact = compact.noted("it covers arms without sleeves: it hangs from them as they go up and down")

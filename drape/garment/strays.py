@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from drape.files.notes import warning
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.sheets import pieces_of, with_used_vertices
 
@@ -35,5 +36,5 @@ def without_strays(mesh: GarmentMesh) -> GarmentMesh:
     if keep.all() or (~keep).mean() > MOST_SHARE:
         return mesh
     far = float(np.linalg.norm(corners[~keep].mean(axis=(0, 1)) - corners[keep].mean(axis=(0, 1))))
-    note = f"warning: what lies {far:.3g} units away is left out, {int((~keep).sum()):,} faces"
+    note = warning(f"what lies {far:.3g} units away is left out, {int((~keep).sum()):,} faces")
     return with_used_vertices(mesh.take_faces(keep)).noted(note)

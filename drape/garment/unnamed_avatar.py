@@ -8,9 +8,9 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.errors import MeshError
+from drape.files.notes import warning
 from drape.garment.accessory_search import accessory_wearer, seated
 from drape.garment.avatars import Avatar, standard_avatar
-from drape.garment.cache import WARNING
 from drape.garment.contours import pierced_parts
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import IntakeOptions
@@ -68,7 +68,7 @@ def worn_by(
     source = f"found in the cloth: {wearer.words}; sure {wearer.sure:.2f}"
     turned = replace(mesh, vertices=wearer.reading.apply(mesh.vertices))
     return (
-        turned.noted(f"nobody named the avatar; it seems to be {wearer.words}", *map(WARNING.__add__, wearer.doubts)),
+        turned.noted(f"nobody named the avatar; it seems to be {wearer.words}", *map(warning, wearer.doubts)),
         Avatar(vertices, body.faces, 0.0, source),
         wearer,
     )

@@ -10,6 +10,7 @@ import numpy as np
 
 from drape.errors import MeshError
 from drape.files.looks import Looks, Material, Slot
+from drape.files.notes import absent_file, absent_picture
 from drape.files.pictures import metallic_roughness
 from drape.garment.files.mesh import Beside
 
@@ -30,7 +31,7 @@ def fbx_looks(
         named = next((name for name in names if name), "")
         payload = inside or (beside(named) if named else None)
         if not payload:
-            notes.append(f"warning: {named!a:.80} is not beside the mesh: send it in the same zip")
+            notes.append(absent_file(named))
         return payload or None
 
     def kept(key: Any, picture: bytes | None) -> int | None:
@@ -48,7 +49,7 @@ def fbx_looks(
         try:
             picture = metallic_roughness(*channels, label="picture of roughness") if any(channels) else None
         except MeshError as error:
-            notes.append(f"warning: a picture is left out: {error}")
+            notes.append(absent_picture(error))
             picture = None
         return kept((metal, roughness), picture)
 

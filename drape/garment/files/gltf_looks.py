@@ -10,6 +10,7 @@ from drape.errors import MeshError
 from drape.files.gltf import GltfFile
 from drape.files.gltf_json import excerpt
 from drape.files.looks import Looks, Material, Slot
+from drape.files.notes import absent_look, absent_picture
 
 
 def gltf_looks(file: GltfFile, used: list[int | None]) -> tuple[Looks, tuple[str, ...]]:
@@ -34,7 +35,7 @@ def gltf_looks(file: GltfFile, used: list[int | None]) -> tuple[Looks, tuple[str
                 held.append(content)
             return pictures[excerpt(image)]
         except MeshError as error:
-            notes.append(f"warning: a picture is left out: {error}")
+            notes.append(absent_picture(error))
             return None
 
     def material(number: int) -> Material | None:
@@ -59,8 +60,7 @@ def gltf_looks(file: GltfFile, used: list[int | None]) -> tuple[Looks, tuple[str
         try:
             return Material(**fields) if len(document.keys() - {"name", "extras"}) else None
         except ValidationError as error:
-            where = error.errors(include_url=False)[0]
-            notes.append(f"warning: the look of material {number} is left out: {where['loc'][0]}: {where['msg']}"[:200])
+            notes.append(absent_look(f"material {number}", error))
             return None
 
     materials = tuple(None if number is None else material(number) for number in used)

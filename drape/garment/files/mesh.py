@@ -19,6 +19,7 @@ from drape.errors import MeshError, NotFound, legible
 from drape.files.beside import file_beside
 from drape.files.formats import MESH_FORMATS, format_list, sniff
 from drape.files.looks import NO_LOOKS, Looks
+from drape.files.notes import warning
 from drape.files.pictures import remake_pictures
 
 BYTES_LIMIT = 96 * 2**20
@@ -170,7 +171,7 @@ def in_stated_unit(points: np.ndarray, unit_m: float) -> tuple[np.ndarray, str]:
     farthest_m = float(np.abs(points).max(initial=0.0))
     if 0.0 < unit_m < 1.0 and farthest_m < NOTHING_M:
         within = f"in which it all lies within {100.0 * farthest_m:.2g} cm of its origin"
-        return points / unit_m, f"warning: the file states its unit, {unit_m:g} m, {within}: that is not counted"
+        return points / unit_m, warning(f"the file states its unit, {unit_m:g} m, {within}: that is not counted")
     return points, f"the file states its unit: {unit_m:g} m"
 
 

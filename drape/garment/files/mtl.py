@@ -8,6 +8,7 @@ from contextlib import suppress
 import numpy as np
 
 from drape.files.looks import Looks, Material, Slot
+from drape.files.notes import absent_file
 from drape.garment.files.mesh import Beside
 
 PICTURES: dict[str, Slot] = {"map_kd": "base_colour", "norm": "normal", "map_bump": "normal", "bump": "normal"}
@@ -65,7 +66,7 @@ def mtl_looks(libraries: list[str], beside: Beside, names: tuple[str, ...]) -> t
         return Material(rgba, metallic=metal[0], roughness=shiny[0], alpha_mode=mode, pictures=used)
 
     looks = tuple(material(keywords[name]) if name in keywords else None for name in names)
-    notes = [f"warning: {name!a:.80} is not beside the mesh: send it in the same zip" for name in missing[:20]]
+    notes = [absent_file(name) for name in missing[:20]]
     return Looks(looks, tuple(held)), tuple(notes)
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from drape.files.looks import Looks, Material
+from drape.files.notes import absent_file
 from drape.garment.files.mesh import Beside, GarmentMesh, check_count, mesh_fault, plain_mesh, weld
 
 _PLY_SIZES = {
@@ -46,7 +47,7 @@ def read_ply(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = l
     if not named or not len(mesh.uv):
         return mesh
     if (picture := beside(named[0])) is None:
-        return mesh.noted(f"warning: {named[0]!a:.80} is not beside the mesh: send it in the same zip")
+        return mesh.noted(absent_file(named[0]))
     return replace(mesh, looks=Looks((Material(pictures={"base_colour": 0}),), (picture,)))
 
 

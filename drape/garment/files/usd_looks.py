@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from drape.errors import MeshError
 from drape.files.looks import Looks, Material, Slot
+from drape.files.notes import absent_file, absent_look, absent_picture, warning
 from drape.files.pictures import Channel, metallic_roughness
 from drape.garment.files.mesh import Beside
 
@@ -66,7 +67,7 @@ class _Reader:
         pictures = {slot: number for slot, number in numbers.items() if number is not None}
         same = clear is not None and base is not None and clear.GetPrim() == base.GetPrim() and clear_channel == "a"
         if clear is not None and not same:
-            self.notes.append("warning: an opacity that is not the alpha of its colour's picture is left out")
+            self.notes.append(warning("an opacity that is not the alpha of its colour's picture is left out"))
             clear = None
         see_through = clear is not None or opacity < 1.0
         textured = {"metallic_roughness"} & set(pictures)
@@ -86,8 +87,7 @@ class _Reader:
         try:
             return Material(**fields | ({} if placed is None else _placing(_placed(placed)[0])))
         except ValidationError as error:
-            where = error.errors(include_url=False)[0]
-            self.notes.append(f"warning: the look of {prim.GetName()} is left out: {where['loc'][0]}: {where['msg']}")
+            self.notes.append(absent_look(prim.GetName(), error))
             return None
 
     def content(self, texture: Any) -> bytes | None:
@@ -96,7 +96,7 @@ class _Reader:
         path = getattr(asset, "path", "")
         content = self.beside(path) if path else None
         if content is None:
-            self.notes.append(f"warning: {path!a:.80} is not beside the mesh: send it in the same zip")
+            self.notes.append(absent_file(path))
         return content
 
     def held_as(self, key: Any, content: bytes | None) -> int | None:
@@ -131,7 +131,7 @@ class _Reader:
         try:
             picture = metallic_roughness(pairs.get("metallic"), pairs.get("roughness"), label="picture of roughness")
         except MeshError as error:
-            self.notes.append(f"warning: a picture is left out: {error}")
+            self.notes.append(absent_picture(error))
             return None
         return self.held_as(key, picture)
 
