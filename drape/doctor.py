@@ -15,7 +15,8 @@ import numpy as np
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.engine.library import load, processor_level
-from drape.folders import ASSETS, RUNS
+from drape.folders import ASSETS
+from drape.garment.cache import OWN_GARMENTS_DIR
 from drape.live.clock import Frame
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.fold_step import FoldEffort, FoldMemory, fold
@@ -99,9 +100,10 @@ def findings() -> tuple[dict[str, str], list[str]]:
     threads = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count()
     facts |= {"threads": str(threads), "python": platform.python_version()} | packages()
     facts["assets"] = str(ASSETS)
-    facts["garments of users"] = str(RUNS)
-    if not can_write(RUNS):
-        wrong.append(f"{RUNS} cannot be written: set XDG_DATA_HOME to a folder that can.")
+    folder = Path(os.environ.get("DRAPE_GARMENTS_DIR") or OWN_GARMENTS_DIR)  # as the service reads it
+    facts["garments of users"] = str(folder)
+    if not can_write(folder):
+        wrong.append(f"{folder} cannot be written: set DRAPE_GARMENTS_DIR to a folder that can.")
     facts["port 8000"] = "free" if is_free(8000) else "taken"
     if facts["port 8000"] == "taken":
         wrong.append("Somebody listens on port 8000: start with --port, or end that.")

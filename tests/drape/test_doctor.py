@@ -25,6 +25,14 @@ def test_it_tells_processor_engine_and_threads_and_passes_its_own_test():
     assert re.match(r"[1-9]\d* frames of a swatch of 441 vertices in 0.5 s, and the same again", lines["self-test"])
 
 
+def test_it_tells_whether_garments_can_be_written_where_the_service_keeps_them(tmp_path):
+    kept = tmp_path / "garments"
+    assert f"garments of users: {kept}\n" in told(DRAPE_GARMENTS_DIR=str(kept)).stdout
+    kept.write_text("a file")
+    answer = told(DRAPE_GARMENTS_DIR=str(kept))
+    assert answer.returncode == 1 and f"{kept} cannot be written: set DRAPE_GARMENTS_DIR" in answer.stdout
+
+
 def test_what_no_library_is_made_for_is_refused_in_a_sentence():
     answer = told(DRAPE_ISA="v9")
     assert answer.returncode == 2
