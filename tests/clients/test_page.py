@@ -130,6 +130,15 @@ def test_what_a_frame_takes_stands_beside_the_quality(page: Page):
     assert page.evaluate("document.querySelector('#tiers input:checked').value") == "balanced", "the service's default"
 
 
+def test_each_quality_has_a_number_as_its_key(page: Page):
+    names = page.evaluate("Array.from(document.querySelectorAll('#tiers input'), (choice) => choice.value)")
+    places = [*range(len(names)), names.index("balanced")]
+    for place in places:
+        press(page, str(place + 1))
+        assert page.evaluate("document.querySelector('#tiers input:checked').value") == names[place]
+    more_frames(page)
+
+
 def test_the_controls_do_what_they_say(page: Page):
     set_control(page, "colour", "value", "#c02020", "input")
     page.evaluate("(() => { document.querySelector('[data-clip=squat]').click(); return true; })()")

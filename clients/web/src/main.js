@@ -357,7 +357,7 @@ function wireControls() {
   element("vmc").addEventListener("click", chooseVmc);
   listen({
     " ": () => motions.setPlaying(!motions.playing), "[": () => motions.step(-1), "]": () => motions.step(1),
-    "1": () => quality.choose(0), "2": () => quality.choose(1), "3": () => quality.choose(2),
+    "1": () => quality.choose(0), "2": () => quality.choose(1), "3": () => quality.choose(2), "4": () => quality.choose(3),
     c: chooseCamera, v: chooseVmc, f: showFit, s: save, d: () => readouts.toggle(), b: () => element("body").click(), 0: () => stage.fit(), "?": () => element("help").showModal(),
   });
   turnByKeys(element("view"), stage);
