@@ -23,7 +23,7 @@ from drape.garment.cache import Garment
 from drape.garment.fabric_features import encoder_features
 from drape.geometry.skinning import skin_points
 from drape.graph.feeds import body_feed, garment_feed, kinematics, skinning_feed
-from drape.graph.layer_feed import pack_layer, push_over, sheet
+from drape.graph.layer_feed import inner_garment, pack_layer, push_over
 from drape.graph.packing import Place, compose_garments, pack_body, pack_garment
 from drape.graph.push_feed import SkinShapes, pack_push
 from model_export.push.push_graphs import Drapes, LayerTensors, PushTensors
@@ -208,7 +208,7 @@ def layer_case(outer: Garment, inner: Garment, poses: np.ndarray, clearance_m: f
     (F, 24, 3) [rad], and the vertices [m] (F, V, 3) of ``outer`` as NumPy pushes them out."""
     drapes, under = _skinned(outer, poses, clearance_m), _skinned(inner, poses, clearance_m).vertices
     rest = outer.vertices[: outer.vertex_count]
-    feed = pack_layer(garment_feed(outer), rest, body_skin(load_body()), [sheet(inner)])
+    feed = pack_layer(garment_feed(outer), rest, body_skin(load_body()), [inner_garment(inner)])
     expected = push_over(drapes.vertices, under, drapes.samples(), feed, np.float32(clearance_m))
     return LayerTensors(**vars(drapes), feed=feed, under=under).flat(), expected
 

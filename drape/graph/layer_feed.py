@@ -25,7 +25,7 @@ REGION_ROW = 8 * REGION_SIZE
 
 
 @dataclass(frozen=True, eq=False)
-class Sheet:
+class InnerGarment:
     """An inner garment as a collider: its delivered mesh at rest, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), and the
     samples on it."""
 
@@ -36,12 +36,12 @@ class Sheet:
 
 @dataclass(frozen=True, eq=False)
 class LayerFeed(Tensors):
-    """The constants with which a garment is pushed out of the body and of the garments below it, the sheets.
+    """The constants with which a garment is pushed out of the body and of the garments below it, the inner ones.
 
-    Regions of samples are numbered through those of the body, then of each sheet. ``region`` (P, 4) are those that
-    cloth does not hide wholly, in P parts of four; the parts of ``push`` are these. ``cloth_member`` (Q, 12, 24) and
-    ``cloth_rows`` (Q, 12, 24, 12) are ``ClothSamples.member`` and ``rows`` of all sheets, their vertices numbered
-    through all sheets.
+    Regions of samples are numbered through those of the body, then of each inner garment. ``region`` (P, 4) are those
+    that cloth does not hide wholly, in P parts of four; the parts of ``push`` are these. ``cloth_member`` (Q, 12, 24)
+    and ``cloth_rows`` (Q, 12, 24, 12) are ``ClothSamples.member`` and ``rows`` of all inner garments, their vertices
+    numbered through all of them.
     """
 
     push: PushFeed = group(PushFeed, parts="all_parts")
@@ -52,30 +52,32 @@ class LayerFeed(Tensors):
     cloth_rows: Array = tensor("cloth_rows", "cloth_parts", PART_CLUSTERS, MEMBERS, 3 * CLUSTER_SIZE)
 
 
-def sheet(garment: Garment) -> Sheet:
+def inner_garment(garment: Garment) -> InnerGarment:
     """Returns the delivered mesh of ``garment`` as a collider for the garments over it."""
     vertices, faces = garment.vertices[: garment.vertex_count].astype(np.float64), garment.faces.astype(np.int64)
-    return Sheet(vertices, faces, cloth_samples(vertices, faces))
+    return InnerGarment(vertices, faces, cloth_samples(vertices, faces))
 
 
-def pack_layer(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, sheets: Sequence[Sheet]) -> LayerFeed:
-    """Returns the constants of a garment over ``sheets``, innermost first, on the body with the samples ``skin``.
+def pack_layer(
+    feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, inner: Sequence[InnerGarment]
+) -> LayerFeed:
+    """Returns the constants of a garment over ``inner``, innermost first, on the body with the samples ``skin``.
 
     ``feed`` is its ``garment_feed`` and ``vertices`` [m] (V, 3) are its vertices at rest, as many as ``feed`` has.
     Raises ``ArtifactError`` for another number.
     """
-    surfaces = [skin, *(item.samples for item in sheets)]
+    surfaces = [skin, *(item.samples for item in inner)]
     hidden = [np.zeros(surface.count, dtype=bool) for surface in surfaces]
     for layer, surface in enumerate(surfaces):
-        for over in sheets[layer:]:
+        for over in inner[layer:]:
             hidden[layer] |= hidden_samples(surface, over.vertices, over.faces)
     by_region = np.concatenate(hidden).reshape(-1, REGION_SIZE)
     region = np.flatnonzero(~by_region.all(axis=1))
     region = np.concatenate([region, np.repeat(region[-1:], -len(region) % POSED_REGIONS)])
     seen = join_samples(surfaces).of_regions(region)
-    first = np.cumsum([0, *(len(item.vertices) for item in sheets)])[:-1]
-    member = np.concatenate([item.samples.member + start for item, start in zip(sheets, first, strict=True)])
-    rows = np.concatenate([item.samples.rows for item in sheets])
+    first = np.cumsum([0, *(len(item.vertices) for item in inner)])[:-1]
+    member = np.concatenate([item.samples.member + start for item, start in zip(inner, first, strict=True)])
+    rows = np.concatenate([item.samples.rows for item in inner])
     return LayerFeed(
         pack_push(feed, vertices, seen, hidden=by_region[region].reshape(-1)),
         region.reshape(-1, POSED_REGIONS).astype(np.int32),
@@ -100,8 +102,8 @@ def layer_feed(outer: Garment, inner: Sequence[Garment], body: BodyModel) -> Lay
                 got=garment.body_digest,
                 cure="Run the intake again for this body.",
             )
-    sheets = [sheet(garment) for garment in inner]
-    return pack_layer(garment_feed(outer), outer.vertices[: outer.vertex_count], body_skin(body), sheets)
+    below = [inner_garment(garment) for garment in inner]
+    return pack_layer(garment_feed(outer), outer.vertices[: outer.vertex_count], body_skin(body), below)
 
 
 def check_layers(garments: Sequence[Garment]) -> None:

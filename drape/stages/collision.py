@@ -22,7 +22,7 @@ from drape.contact.samples import Samples
 from drape.contact.skin import Skin, body_skin
 from drape.errors import NotFound
 from drape.garment.cache import Garment
-from drape.graph.layer_feed import LayerFeed, Sheet, pack_layer
+from drape.graph.layer_feed import InnerGarment, LayerFeed, pack_layer
 from drape.graph.push import PushConstants, push_frames
 from drape.graph.push_feed import pack_push, pushed_jets
 from drape.inference.graph_names import PUSH, PUSH_OVER, PUSHES, SKIN
@@ -109,14 +109,14 @@ class Collision(Stage):
 
 @dataclass(eq=False)
 class _Stored:
-    """A garment in store: its ``garment_feed`` and rest mesh, its constants over the skin, and the ``sheet`` that
-    layers over it need."""
+    """A garment in store: its ``garment_feed`` and rest mesh, its constants over the skin, and the garment
+    ``as_inner``, the collider of layers over it."""
 
     feed: dict[str, np.ndarray]
     vertices: np.ndarray
     faces: np.ndarray
     constants: Constants | None = None
-    sheet: Sheet | None = None
+    as_inner: InnerGarment | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,18 +260,18 @@ class Pusher:
         *inner, outer = (self._get(key) for key in keys)
 
         def make() -> Constants:
-            sheets = [self._sheet(stored) for stored in inner]
-            arrays = self._make(_arrays_over, outer.feed, outer.vertices, self._skin, sheets)
+            below = [self._as_inner(stored) for stored in inner]
+            arrays = self._make(_arrays_over, outer.feed, outer.vertices, self._skin, below)
             return self._values(arrays, LayerFeed)
 
         return self._layers.get(keys, make)
 
-    def _sheet(self, stored: _Stored) -> Sheet:
+    def _as_inner(self, stored: _Stored) -> InnerGarment:
         """The constants of a garment that others lie over, made once."""
-        if stored.sheet is None:
+        if stored.as_inner is None:
             samples = self._make(cloth_samples, stored.vertices, stored.faces)
-            stored.sheet = Sheet(stored.vertices, stored.faces, samples)
-        return stored.sheet
+            stored.as_inner = InnerGarment(stored.vertices, stored.faces, samples)
+        return stored.as_inner
 
     def _values(self, arrays: dict[str, np.ndarray], kind: type[PushFeed | LayerFeed]) -> Constants:
         """The constants ``arrays`` of a ``kind`` for the engine, or on the device of the graphs."""
@@ -297,7 +297,7 @@ def _garment_arrays(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Sam
 
 
 def _arrays_over(
-    feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, sheets: Sequence[Sheet]
+    feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, inner: Sequence[InnerGarment]
 ) -> dict[str, np.ndarray]:
     """The constants of a garment over others by the names of the graph's inputs."""
-    return pack_layer(feed, vertices, skin, sheets).flat()
+    return pack_layer(feed, vertices, skin, inner).flat()

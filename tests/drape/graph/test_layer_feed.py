@@ -19,7 +19,7 @@ from drape.contact.skin import body_skin
 from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
 from drape.geometry.skinning import skin_points
-from drape.graph.layer_feed import LayerFeed, check_layers, layer_feed, push_over, sheet
+from drape.graph.layer_feed import LayerFeed, check_layers, inner_garment, layer_feed, push_over
 from tests.fixtures.cut_garments import cut_garment
 from tests.fixtures.garments import shipped
 from tests.fixtures.layers import through_pct
@@ -81,7 +81,7 @@ def test_the_outer_garment_comes_out_of_the_inner_one(poses: np.ndarray, below: 
 def test_it_is_the_push_out_of_one_surface_that_body_and_cloth_are():
     poses = bent()
     inner, outer, posed = skinned("tank", poses), skinned("longsleeve", poses), load_body().posed_vertices(poses)
-    feed, skin, cloth = feed_of("tank", "longsleeve"), body_skin(load_body()), sheet(garment("tank")).samples
+    feed, skin, cloth = feed_of("tank", "longsleeve"), body_skin(load_body()), inner_garment(garment("tank")).samples
     seen = join_samples([skin, cloth]).of_regions(feed.region.reshape(-1))
     whole = push_out_of_bodies(outer, np.concatenate([posed, inner], axis=1), seen, feed.push, CLEARANCE_M)
     assert np.abs(whole - outer).max() > 0.005
@@ -96,7 +96,7 @@ def test_three_layers_count_their_vertices_one_after_the_other(cut: str, limit_p
     members = feed.cloth_member.reshape(-1)
     first = garment(tank).vertex_count
     assert members.max() < first + garment(shorts).vertex_count
-    clusters = sheet(garment(tank)).samples.member.shape[0]
+    clusters = inner_garment(garment(tank)).samples.member.shape[0]
     flat = feed.cloth_member.reshape(-1, feed.cloth_member.shape[-1])
     assert flat[:clusters].max() < first <= flat[clusters:].min()
     assert set(feed.flat()) >= {"region", "cloth_member", "cloth_rows", "push_other"}
