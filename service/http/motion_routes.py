@@ -36,7 +36,7 @@ async def read_motion(
     ] = None,
 ) -> Response:
     """Reads a motion file. The body of the request is its raw bytes: BVH, GLB, glTF, VRM, VRMA, FBX or npz. The answer
-    is an npz of a clip, y up: poses (frames, 72) [rad], trans (frames, 3) [m], and mocap_framerate. The service does
+    is an npz of a clip, y up: poses (frames, 24, 3) [rad], trans (frames, 3) [m], and mocap_framerate. The service does
     not keep the file.
     """
     check_query(request.query_params, ("name", "clip"))
