@@ -252,7 +252,7 @@ def stopped(*arguments, **named):
     print(process.pid, flush=True)
     return process
 
-start, processes.start = processes.start, stopped
+start, processes.start_process = processes.start_process, stopped
 DrapeRuntime.{hook} = hangs_here
 sys.exit(__main__.main(["--port", "0"]))
 """
