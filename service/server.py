@@ -99,8 +99,8 @@ class DrainingServer(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stops listening, drains the application (``State.drain``) and closes ``sockets`` and all connections: within
         10 s, or by force within 15 where something hangs."""
-        if threading.current_thread() is threading.main_thread():
-            signal.alarm(END_S)  # after Ctrl-C, too
+        if threading.current_thread() is threading.main_thread() and not told_to_end():
+            signal.alarm(END_S)  # after Ctrl-C; SIGTERM has set an alarm
         for server in self.servers:
             server.close()
         app = self.config.app

@@ -22,7 +22,7 @@ from drape.stages.tiers import EXACT
 from drape.wire.clip_message import of_rig, unpack_clip
 from drape.wire.jets import message_bytes
 from service.compute.threads import BRIEF_BYTES
-from service.errors import NotAcceptable, TooSlow
+from service.errors import Full, NotAcceptable, TooSlow
 from service.guard.limits import check_answer
 from service.http import exact_clips, schemas
 from service.http.answers import (
@@ -56,6 +56,7 @@ from service.http.clip_jobs import (
     quality_headers,
     streamed_answer,
 )
+from service.http.job_schemas import JobInfo
 from service.http.json_body import (
     check_marks,
     clip_marks,
@@ -65,7 +66,7 @@ from service.http.json_body import (
     read_document,
     validate_document,
 )
-from service.http.openapi import clip_schema, responses
+from service.http.openapi import Responses, clip_schema, responses
 from service.http.problems import JsonSource
 from service.http.undressing import undressed_avatar
 from service.state import ClientHere, State, StateHere
@@ -81,6 +82,7 @@ KINDS = (BINARY, GLB, JSON)
 FILES = (*KINDS, PC2, USDA, USDZ, VAT)
 PLACE_AND_NORMAL_BYTES = 24
 CLIP_REFUSALS = (InputError, NotFound, NotAcceptable, TooSlow, TooLarge, MotionError, BodyError)
+EXACT_ANSWER: Responses = {202: {"description": "The job of a clip of tier exact.", "model": JobInfo}}
 Asked = TypeVar("Asked", bound=schemas.PosedOptions)
 Result = TypeVar("Result")
 
@@ -89,7 +91,7 @@ Result = TypeVar("Result")
     "/drape",
     response_model=schemas.VerticesDocument,
     openapi_extra=clip_schema(schemas.DrapeRequest),
-    responses=responses(*CLIP_REFUSALS, kinds=FILES),
+    responses=responses(*CLIP_REFUSALS, Full, kinds=FILES) | EXACT_ANSWER,
 )
 async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> Response:
     """Drapes a garment, or an outfit, on a moving body. Positions are in metres, in the world's axes.

@@ -382,8 +382,8 @@ class Uploads:
         stored = file_sizes([self._root, *self._root.glob(f"{OWNED}*/"), characters, *characters.glob(f"{OWNED}*/")])
         rules = [("bytes of all garments", self._settings.max_stored_bytes, sum(stored), more)]
         if client.limits is not None:
-            own = file_sizes([folder_of(self._root, client.name)])
-            rules.append(("bytes of a key's garments", client.limits.bytes, sum(own), more))
+            own, figures = (file_sizes([folder_of(root, client.name)]) for root in (self._root, characters))
+            rules.append(("bytes of a key's garments", client.limits.bytes, sum(own + figures), more))
             rules.append(("garments of a key", client.limits.garments, len(own), count))
         for name, most, present, added in rules:
             if present + added > most or present >= most:

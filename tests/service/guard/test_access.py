@@ -28,11 +28,14 @@ from drape.errors import DrapeError, InputError
 from drape.garment.cache import save_garment
 from drape.wire import messages as wire
 from service.app import create_app
-from service.errors import Busy, Unauthorized
+from service.compute.drape_runtime import DrapeRuntime
+from service.compute.threads import SlicedThread
+from service.errors import Busy, Full, Unauthorized
 from service.guard.access import Access
 from service.guard.key_file import key_digest, load_keys
 from service.guard.tickets import LIFE_S, Tickets
 from service.settings import Settings, check_exposed
+from service.uploads.jobs import Uploads
 from tests.architecture.repository import ROOT
 from tests.fixtures.characters import bare_wearer
 from tests.fixtures.garments import tube_garment
@@ -41,7 +44,7 @@ from tests.fixtures.serving import files_in, serve, served
 from tests.fixtures.streams import PROTOCOLS, stream_address
 
 KEYS = {"shop": "key-of-shop", "lab": "key-of-lab", "slow": "key-of-slow"}
-LIMITS = {"lab": {"garments": 1, "streams": 1, "clips": 0}, "slow": {"rate": 0.01}}
+LIMITS = {"lab": {"garments": 1, "streams": 1, "clips": 0}, "slow": {"rate": 0.01, "bytes": 1000}}
 REST = np.zeros((1, 24, 3)).tolist()
 
 
@@ -183,6 +186,17 @@ def test_limits_of_a_key_are_its_own(url: str, guarded: Settings):
         pass
     with access.using(lab, "streams"):
         pass
+
+
+def test_characters_count_among_the_bytes_of_a_key(guarded: Settings, make_runtime: Callable[..., DrapeRuntime]):
+    runtime = make_runtime(keys_file=guarded.keys_file)
+    uploads = Uploads(runtime, SlicedThread(), access := Access(runtime.settings))
+    uploads.check_place(slow := access.client("slow"))
+    folder = runtime.settings.garments_dir / ".avatars" / "of-slow"
+    folder.mkdir(parents=True)
+    (folder / "me.glb").write_bytes(bytes(1000))
+    with pytest.raises(Full, match="bytes of a key's garments: expected at most 1000, got 1000"):
+        uploads.check_place(slow)
 
 
 def test_a_garment_is_private_until_published(url: str, guarded: Settings):

@@ -150,3 +150,9 @@ def test_drawn_motions_are_draped(schema: BaseSchema):
     drawn = schema["/drape"]["POST"].as_strategy(LEGAL).filter(lambda case: isinstance(case.body, dict))
     counted = conform(drawn.map(for_the_tube), 5)
     assert counted[200] and set(counted) <= {200, 406}
+
+
+def test_the_answers_of_tier_exact_are_declared(schema: BaseSchema):
+    answers = schema.raw_schema["paths"]["/drape"]["post"]["responses"]
+    assert answers["202"]["content"]["application/json"]["schema"] == {"$ref": "#/components/schemas/JobInfo"}
+    assert PROBLEM in answers["507"]["content"]

@@ -252,7 +252,7 @@ def stopped(*arguments, **named):
     print(process.pid, flush=True)
     return process
 
-start, processes.start = processes.start, stopped
+start, processes.start_process = processes.start_process, stopped
 DrapeRuntime.{hook} = hangs_here
 sys.exit(__main__.main(["--port", "0"]))
 """
@@ -317,6 +317,32 @@ def test_the_word_to_end_ends_whatever_hangs_and_its_processes(make_settings: Ca
                 lane = "aside" if name == "lane" else "event loop"
                 assert any(line.startswith(f"{lane}: a job has not moved for ") for line in lines), name
                 assert "told to end" in lines[-1] and "hangs_here" in lines[-1]
+
+
+LATE = """
+import asyncio, signal
+from fastapi import FastAPI
+from uvicorn.lifespan.off import LifespanOff
+from service.server import END_S, make_server
+from service.settings import Settings
+from service.watch.watchdog import end_when_told
+
+async def left_s(before_s: int) -> int:
+    server = make_server(FastAPI(), Settings())
+    server.config.app, server.servers, server.lifespan = None, [], LifespanOff(server.config)  # nothing drains
+    signal.alarm(before_s)
+    await server.shutdown()
+    return signal.alarm(0)
+
+end_when_told()
+assert asyncio.run(left_s(0)) >= END_S - 2
+assert 1 <= asyncio.run(left_s(5)) <= 5
+"""
+
+
+def test_a_shutdown_that_begins_late_gets_no_more_time():
+    run = subprocess.run([sys.executable, "-c", LATE], cwd=ROOT, capture_output=True, text=True, timeout=PATIENT_S)
+    assert run.returncode == 0, run.stderr
 
 
 def is_dead(pid: int) -> bool:
