@@ -31,7 +31,8 @@ WITHOUT = (
     *("passes", "folds", "safe_folds", "settle", "inertia", "colliders", "hidden", "pixels_per_m"),
     *("streamed", "keep", "past", "rig", "joints"),
 )
-ALWAYS = {"push_out": True, "cloth_contact": True, "knob": 0.0, "geometry": "vertices", "folds_by": "server"}
+ALWAYS = {"push_out": True, "cloth_contact": True, "coarse": False, "knob": 0.0}
+ALWAYS |= {"geometry": "vertices", "folds_by": "server"}
 START = {"tier": "accurate", "knob": 0.0, "resolution": "fine"}  # the drape that a frame starts from
 
 
@@ -40,7 +41,8 @@ def check_exact(request: schemas.ClipOptions) -> None:
     _check_single(len(request.garments or ()))
     cure = "Leave it out, or ask for tier accurate."
     for name in WITHOUT:
-        if value := _value(request, name):
+        value = _value(request, name)
+        if value not in (None, ()) and value is not False:  # 0 passes or folds are a choice
             raise InputError(name, expected="none with tier exact", got=f"{value!r:.40}", cure=cure)
     for name, fixed in ALWAYS.items():
         value, label = _value(request, name), "motion" if name == "knob" else name

@@ -27,9 +27,9 @@ from tests.fixtures.streams import patient_streams
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 STILL_FRAME = 89  # arms up; neither garment comes through the other at a grazing angle
-# What is sent is rounded by 0.2 mm at most (docs/reference/wire.md), a twentieth of a pixel. So an edge stays within
-# one pixel of the page, which is blurred over two of the picture where a slow machine draws fewer of them, and over
-# edges of 15 mm normals turn, and light changes, by at most 0.03 of 255 levels.
+# What is sent is rounded by 0.2 mm at most (benchmarks/results/wire.json), a twentieth of a pixel. So an edge stays
+# within one pixel of the page, which is blurred over two of the picture where a slow machine draws fewer of them, and
+# over edges of 15 mm normals turn, and light changes, by at most 0.03 of 255 levels.
 EDGE_PX = 2
 SHADE, FEW = 8, 4  # of 255, and pixels
 

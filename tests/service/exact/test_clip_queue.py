@@ -120,6 +120,9 @@ def test_the_client_and_the_command_wait_for_it(url: str, done: str, tmp_path: P
     [
         ({"folds": 2}, "folds"),
         ({"passes": 1}, "passes"),
+        ({"passes": 0}, "passes"),
+        ({"advanced": {"folds": 0}}, "folds"),
+        ({"advanced": {"coarse": True}}, "coarse"),
         ({"motion": 1.0}, "motion"),
         ({"geometry": "jets"}, "geometry"),
         ({"streamed": True}, "streamed"),
