@@ -2,7 +2,7 @@
 
 ``drape.exact.newton`` goes down from the lowest of the starts, with the garment's charts as coarse level. The
 optimum never lies above its starts. It says of every frame whether it came to rest; a garment that ends far from rest
-is refused by its name. docs/reference/quality.md tells how the method was chosen.
+is refused by its name. docs/reference/quality.md tells what its figures mean.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Written once for numpy and torch. Positions are first laid out as planes
 (3, ..., V), so that every formula is a handful of whole-array products and the
 gathers run along the last axis: in torch the backward of ``take`` along axis -2
-is thirty times slower (docs/reference/quality.md).
+is many times slower.
 """
 
 from __future__ import annotations
