@@ -52,7 +52,9 @@ def remake_picture(payload: bytes, *, label: str, side: int = LARGEST_SIDE) -> b
         got = "too many pixels" if isinstance(error, Image.DecompressionBombError) else f"{type(error).__name__}"
         raise MeshError(label, expected=f"a whole {KINDS}", got=got, cure="Export it again.") from error
     got = f"{width} x {height}"
-    raise MeshError(label, expected=f"at most {MOST_PIXELS >> 20} million pixels", got=got, cure="Shrink the picture.")
+    raise MeshError(
+        label, expected=f"at most {MOST_PIXELS // 10**6} million pixels", got=got, cure="Shrink the picture."
+    )
 
 
 def _opened(payload: bytes, side: int, label: str) -> Image.Image:
