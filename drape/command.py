@@ -144,11 +144,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run_elsewhere(name: str, words: Sequence[str]) -> int:
     """Runs the command ``name`` of ``ELSEWHERE`` with the arguments ``words``. Returns its exit status."""
-    module, before, expected = ELSEWHERE[name]
+    module, before, summary = ELSEWHERE[name]
     try:
         run: Callable[..., int | None] = importlib.import_module(module).main
     except ModuleNotFoundError as error:
-        cure = "README.md says which package to install."
+        cure = "docs/guide/install.md says which wheel has it."
+        expected = f"the package that can {summary}"
         raise Unavailable(f"drape {name}", expected=expected, got=f"no package {error.name}", cure=cure) from error
     sys.argv = [f"drape {name}", *before, *words]
     return run() or 0

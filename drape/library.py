@@ -364,9 +364,9 @@ def _frames(batch: Batch, part: PoseInput) -> Iterator[Frame]:
 
 def _checked(options: dict[str, Any]) -> DrapeOptions:
     """The ``options`` by name; refuses (``InputError``) the first that is none or has no such value."""
-    known = DrapeOptions.model_fields
+    known = [name for name in DrapeOptions.model_fields if name != "geometry"]
     for name in options:
-        if name not in (*known, *Advanced.model_fields) or name == "geometry":
+        if name not in (*known, *Advanced.model_fields):
             cure = "help(drape.DrapeOptions) has them."
             raise InputError("options", expected=f"some of: {', '.join(known)}", got=name, cure=cure)
     try:

@@ -70,6 +70,11 @@ def test_the_tarball_has_types_first_and_nothing_but_its_build(application: Path
         assert all(f"package/{path.removeprefix('./')}" in names for path in entry.values())
 
 
+def test_what_was_packed_is_up_to_date_still(application: Path):
+    assert (WEB / "lib/LICENSE").is_file()  # npm wrote it
+    run(["scripts/build_page", "clients/web", "--check"], ROOT)
+
+
 def test_the_core_is_small(application: Path):
     folder = application / "node_modules/@drape/client/dist"
     named = [f"{name}.js" for name in ("core", "index", "react", "three", "worker")]

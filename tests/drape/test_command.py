@@ -107,6 +107,9 @@ def test_tables_come_as_text_and_as_json(name: str, key: str, capsys: pytest.Cap
 
 
 def test_a_command_of_a_part_that_is_not_installed_names_it(monkeypatch, capsys: pytest.CaptureFixture[str]):
-    monkeypatch.setitem(ELSEWHERE, "serve", ("nothing_of_the_kind", (), "the service"))
+    monkeypatch.setitem(ELSEWHERE, "serve", ("nothing_of_the_kind", (), "run the service"))
     assert main(["serve"]) == 2
-    assert "no package nothing_of_the_kind" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "expected the package that can run the service, got no package nothing_of_the_kind." in told
+    page = Path(__file__).parents[2] / told.split("nothing_of_the_kind. ")[1].split()[0]
+    assert "patchdrape_recovery" in page.read_text(encoding="utf-8")
