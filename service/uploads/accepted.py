@@ -14,6 +14,7 @@ import socket
 import time
 import uuid
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -25,6 +26,7 @@ from service.compute.json_records import read_record
 Kind = Literal["garment", "avatar"]
 ABOUT = "job.json"
 STAGING = ".staging-"
+UNREADABLE = "unreadable-uploads"
 CANCEL = "cancel"  # a file in an upload's folder by which another service asks to cancel it
 SILENT_S = 120.0
 _OWN: set[str] = set()  # the names of the staging folders of services in this process
@@ -87,7 +89,8 @@ def sync(path: Path) -> None:
 
 def take_over(root: Path, own: Path, *, shared: bool = False) -> Iterator[tuple[Accepted, Path]]:
     """Moves the uploads of ended processes under ``root`` to the staging folder ``own``, and deletes their other files.
-    Yields each upload and its new folder, the oldest first.
+    Yields each upload and its new folder, the oldest first. Uploads whose records cannot be read, as those of another
+    version, go to the folder ``UNREADABLE`` in ``root``.
 
     ``shared``: services on other hosts use ``root`` too, and call ``touch`` every few seconds while they run.
     """
@@ -97,6 +100,8 @@ def take_over(root: Path, own: Path, *, shared: bool = False) -> Iterator[tuple[
         accepted = read_accepted(folder)
         if accepted is not None:
             uploads.append(((folder / accepted.file).stat().st_mtime, accepted, folder))
+        elif (folder / ABOUT).exists():
+            _set_aside(folder, root / UNREADABLE)
     for _, accepted, folder in sorted(uploads, key=lambda upload: upload[0]):
         home = own / accepted.id
         own.mkdir(exist_ok=True)
@@ -108,6 +113,12 @@ def take_over(root: Path, own: Path, *, shared: bool = False) -> Iterator[tuple[
         yield accepted, home
     for staging in ended:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def _set_aside(folder: Path, home: Path) -> None:
+    home.mkdir(exist_ok=True)
+    with suppress(OSError):  # another service was faster, or one of this name is there
+        os.rename(folder, home / folder.name)
 
 
 def touch(own: Path) -> None:

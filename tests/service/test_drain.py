@@ -24,7 +24,7 @@ from service.compute.threads import ComputeThreads
 from service.errors import Busy, Draining
 from service.guard.access import Access
 from service.settings import Settings
-from service.uploads.accepted import Accepted, staging_folder, take_over
+from service.uploads.accepted import UNREADABLE, Accepted, staging_folder, take_over
 from service.uploads.jobs import MOST_ATTEMPTS
 from tests.fixtures.patience import PATIENT_S, ended_job
 from tests.fixtures.serving import files_in, process, serve, served
@@ -78,6 +78,18 @@ def accepted(folder: Path, name: str, attempts: int = 0) -> Accepted:
     (folder / name / one.file).write_bytes(b"v 0 0 0\n")
     one.write(folder / name)
     return one
+
+
+def test_an_upload_whose_record_cannot_be_read_is_kept(tmp_path: Path):
+    ended = subprocess.Popen(["true"])
+    ended.wait()
+    theirs, own = tmp_path / f".staging-{ended.pid}", staging_folder(tmp_path)
+    whole = accepted(theirs, "whole")
+    accepted(theirs, "later")
+    (theirs / "later/job.json").write_text('{"id": "later", "file": ["of", "another", "version"]}')
+    for taken in ([(whole, own / "whole")], []):
+        assert list(take_over(tmp_path, own)) == taken and not theirs.exists()
+        assert (tmp_path / UNREADABLE / "later/later.obj").read_bytes() == b"v 0 0 0\n"
 
 
 def test_uploads_of_ended_processes_are_taken_over_in_their_order(tmp_path: Path):
