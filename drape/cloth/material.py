@@ -132,6 +132,13 @@ MEASURED = {
 }
 
 
+def worn_fabric(name: str) -> str:
+    """Returns the name, in the table of fabrics, of what a garment of ``material(name)`` is worn in: itself, or that
+    which is nearest to one of the five."""
+    listed = {name: name for name in MEASURED} | fabric_table.ALIASES | {"interlock": DEFAULT_MATERIAL}
+    return listed.get(name, DEFAULT_MATERIAL)
+
+
 def material(name: str = DEFAULT_MATERIAL) -> Material:
     """Returns the material called ``name``, of ``FABRICS`` or ``MEASURED``. Raises ``NotFound`` for other names.
 

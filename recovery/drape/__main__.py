@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_worn(draped, start)
     files = write_shape(given.out, name, draped.mesh, draped.nodes, panel_texture(draped.mesh))
     cached = not given.no_garment
-    files += write_rest(given.out, name, draped, body, avatar="standard", garment=cached, report=print)
+    files += write_rest(given.out, name, draped, body, given.fabric, avatar="standard", garment=cached, report=print)
     seconds = round(time.perf_counter() - started, 1)
     record = {"pattern": pattern.name, "body": body.name, "fabric": given.fabric, "scale": given.scale}
     record |= {**draped.figures, "seconds": seconds}

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from drape.body.model import BodyModel
+from drape.cloth.fabric_table import DEFAULT_FABRIC
+from drape.cloth.material import worn_fabric
 from drape.export import obj
 from drape.export.glb import add_garment
 from drape.export.glb_file import GlbFile
@@ -64,19 +66,21 @@ def write_shape(
 
 
 def write_rest(
-    folder: Path, name: str, draped: Draped, body: BodyModel, *, avatar: Any, garment: bool, report: Say
+    folder: Path, name: str, draped: Draped, body: BodyModel, fabric: str, *, avatar: Any, garment: bool, report: Say
 ) -> list[Path]:
     """Writes the drape in the T-pose as NAME_rest.obj, and with ``garment`` also the garment cache, to ``folder``.
     Returns the paths.
 
-    The cache holds the garment at rest, from which the service drapes. It is moved to ``body`` from ``avatar``, on
+    The cache holds the garment at rest, from which the service drapes, and the fabric that is nearest to ``fabric``, a
+    name that ``material`` takes. It is moved to ``body`` from ``avatar``, on
     which it was draped (``drape.garment.intake``). ``report`` gets lines on that.
     """
     texture = panel_texture(draped.mesh)
     rest = sewn_obj_text(draped.mesh, draped.rest.nodes, texture)
     files = [write_whole(folder / f"{name}_rest.obj", rest)]
     if garment:
-        options = IntakeOptions(uv_unit_m=texture[1])
+        worn = worn_fabric(fabric)
+        options = IntakeOptions(uv_unit_m=texture[1], fabric=None if worn == DEFAULT_FABRIC else worn)
         given = {"name": name, "kind": "obj", "avatar": avatar, "body": body, "folder": folder}
         files.append(folder / intake(rest.encode(), **given, options=options, report=report).file_name())
     return files

@@ -230,7 +230,8 @@ def sew_and_wear(task: Task, recovered: Recovered, pattern: Pattern, say: Say) -
     say(f"sewn      {distance.mean_mm:.2f} mm from the target on average")
     # In the cache the garment of a body of another shape is moved to the standard one.
     avatar = {"betas": wearer.betas.tolist()} if wearer.betas.any() else "standard"
-    files = write_rest(job.out, task.name, draped, wearer.standard, avatar=avatar, garment=job.garment, report=say)
+    told = {"avatar": avatar, "garment": job.garment, "report": say}
+    files = write_rest(job.out, task.name, draped, wearer.standard, recovered.fabric, **told)
     return SewnAndWorn(anew, distance, worn, files)
 
 

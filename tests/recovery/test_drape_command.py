@@ -111,12 +111,13 @@ def short_skirt(folder: Path) -> list[str]:
 
 def test_a_pattern_becomes_a_garment_in_one_command(tmp_path, capsys):
     """Files are there, the report says it is at rest, and the cache loads."""
-    assert main(short_skirt(tmp_path)) == 0
+    assert main([*short_skirt(tmp_path), "--fabric", "stiff"]) == 0
     out = tmp_path / "out"
     record = json.loads((out / "skirt.json").read_text())
     assert record["rest"]["converged"] and record["rest"]["clearance_mm"] > 0.0
     assert record["hangs_from"] == "waist" and record["belt_nodes"] > 10 and record["repaired"] == []
     garment = load_garment(next(out.glob("skirt-*.npz")))
+    assert garment.fabric == "denim" and record["fabric"] == "stiff"
     draped = read_mesh(out / "skirt.obj")
     assert garment.vertex_count == len(draped.vertices) == record["nodes"]
     assert (garment.faces == draped.faces).all() and garment.body_digest == load_body().digest

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from drape.cloth import fabric_table
 from drape.cloth.fabric_table import fabric
-from drape.cloth.material import FABRICS, MEASURED, Material, material
+from drape.cloth.material import FABRICS, MEASURED, Material, material, worn_fabric
 from drape.errors import InputError, NotFound
 
 
@@ -38,6 +38,14 @@ def test_limp_and_crisp_differ_in_bending_alone():
 def test_the_fabrics_of_the_table_have_their_names_but_for_a_second_jersey():
     assert material("interlock") == Material.of(fabric("jersey")) != material("jersey")
     assert material("rib") == Material.of(fabric("rib"))
+
+
+@pytest.mark.parametrize(
+    ("name", "worn"),
+    [("jersey", "jersey"), ("interlock", "jersey"), ("rib", "rib"), ("stiff", "denim"), ("soft", "jersey")],
+)
+def test_a_garment_is_worn_in_the_fabric_that_is_nearest(name: str, worn: str):
+    assert worn_fabric(name) == worn and worn in fabric_table.FABRICS
     assert len(MEASURED) == len(fabric_table.FABRICS) and not MEASURED.keys() & FABRICS.keys()
 
 
