@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from typing import TypeVar
+from typing import Literal, TypeVar
 from urllib.parse import urlsplit
 from urllib.request import getproxies, proxy_bypass
 
@@ -59,7 +59,7 @@ def _no_proxy(error: Exception) -> InputError:
     return InputError(" or ".join(named) or "proxy", expected="http://HOST:PORT", got=str(error), cure=cure)
 
 
-def stream_proxy(url: str) -> str | bool | None:
+def stream_proxy(url: str) -> str | Literal[True] | None:
     """Returns the proxy of a stream to the service at ``url``, as the argument of websockets' ``connect``: None for a
     service on this machine, the environment's ALL_PROXY, which websockets does not read, where no other fits, and
     otherwise True."""
