@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-from typing import TypeVar
+from typing import Literal, TypeVar
 from urllib.parse import urlsplit
-from urllib.request import getproxies
+from urllib.request import getproxies, proxy_bypass
 
 import httpx
 
@@ -57,6 +57,19 @@ def _no_proxy(error: Exception) -> InputError:
     named = [name for name in PROXIES if os.environ.get(name) or os.environ.get(name.lower())]
     cure = "Correct or unset it, or name the service in NO_PROXY."
     return InputError(" or ".join(named) or "proxy", expected="http://HOST:PORT", got=str(error), cure=cure)
+
+
+def stream_proxy(url: str) -> str | Literal[True] | None:
+    """Returns the proxy of a stream to the service at ``url``, as the argument of websockets' ``connect``: None for a
+    service on this machine, the environment's ALL_PROXY, which websockets does not read, where no other fits, and
+    otherwise True."""
+    if is_local(url):
+        return None
+    proxies, of_scheme = getproxies(), ("wss",) if url.startswith("https:") else ("ws", "http")
+    every = proxies.get("all")
+    if every is None or any(name in proxies for name in (*of_scheme, "socks", "https")):
+        return True
+    return True if proxy_bypass(urlsplit(url).netloc) else every
 
 
 def unreachable(url: object, error: Exception) -> Unavailable:

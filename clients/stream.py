@@ -34,7 +34,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidPro
 from websockets.typing import Subprotocol
 
 from clients.calls import DEFAULT_URL, Size, key_headers, worn_fields
-from clients.connections import is_local, unreachable
+from clients.connections import stream_proxy, unreachable
 from clients.refusals import ServiceError, problem_error
 from drape.errors import DrapeError, Unavailable
 from drape.wire import messages as wire
@@ -359,7 +359,7 @@ async def _connected(url: str, key: str | None) -> ClientConnection:
             compression=None,
             max_size=MESSAGE_LIMIT_BYTES,
             open_timeout=OPEN_S,
-            proxy=None if is_local(url) else True,
+            proxy=stream_proxy(url),
         )
     except (OSError, TimeoutError, InvalidHandshake, InvalidURI, InvalidProxy, ImportError) as error:
         raise unreachable(address, error) from error

@@ -85,6 +85,19 @@ def test_another_one_is_asked_through_the_proxy_which_the_refusal_names(proxy: l
     assert proxy == ["drape.invalid:443", "drape.invalid:80"]
 
 
+@pytest.mark.parametrize(("scheme", "port"), [("http", 80), ("https", 443)])
+def test_a_stream_asks_through_the_proxy_of_all_schemes_where_no_other_is_named(
+    proxy: list[str], monkeypatch: pytest.MonkeyPatch, scheme: str, port: int
+):
+    for name in ("HTTP_PROXY", "HTTPS_PROXY"):
+        monkeypatch.delenv(name)
+    for host in ("drape.invalid", "other.invalid"):
+        monkeypatch.setenv("NO_PROXY", "other.invalid")
+        with pytest.raises(Unavailable):
+            asyncio.run(DrapeStream.open(f"{scheme}://{host}", "tube"))
+    assert proxy == [f"drape.invalid:{port}"]
+
+
 def test_an_unusable_proxy_is_refused_by_the_name_of_its_variable(nonsense: None):
     said = "HTTP_PROXY or HTTPS_PROXY or ALL_PROXY: expected http://HOST:PORT"
     with pytest.raises(InputError, match=said):
