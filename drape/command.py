@@ -101,7 +101,7 @@ def parser(complete: object = None) -> argparse.ArgumentParser:
         help="with --on: write the character's own file with the garments skinned to N more joints each, which follow "
         "the drape closely: .glb with the motion, or .vrm with spring bones",
     )  # fmt: skip
-    wear.add_argument("--float32", action="store_true", help="write a GLB in float32, which makes it twice as large")
+    wear.add_argument("--float32", action="store_true", help="write a GLB in float32, which makes it larger")
     wear.set_defaults(run=_wear)
 
     garments = commands.add_parser("garments", help="list the shipped garments")
@@ -220,7 +220,8 @@ def _wear_on_rig(worn: Worn, clip: MotionClip, options: argparse.Namespace) -> i
     if options.out.suffix.lower() in SCENES:
         beside = write_scene(options.out, scene(worn, clip, fps=clip.fps, as_recorded=True), clip.fps)
     else:
-        write_pieces(options.out, [worn.glb(clip, fps=clip.fps, as_recorded=True)])
+        made = worn.glb(clip, fps=clip.fps, as_recorded=True, quantised=not options.float32)
+        write_pieces(options.out, [made])
     size = options.out.stat().st_size
     summary = {"file": str(options.out), "bytes": size, "frames": clip.frame_count, "beside": list(map(str, beside))}
     summary |= {"garments": [mesh.name for mesh in worn.garments], "seconds": round(time.monotonic() - begun_s, 2)}

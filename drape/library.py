@@ -277,10 +277,12 @@ class Worn:
         left = left._replace(off=left.off | own, bare=left.bare & ~skin, deep=None)  # Players draw nothing deeper.
         return undressed_file(self._worn_by.file.read_bytes(), wearer, rig, left)
 
-    def glb(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> bytes:
+    def glb(
+        self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False, quantised: bool = True
+    ) -> bytes:
         """Returns the bytes of the character's file with the garments in it and an animation of ``motion``, which
         ``placed`` describes. Each garment has a morph target for each frame, which is its drape, in 16 bytes a vertex.
-        ``drape.distil`` makes smaller files.
+        ``drape.distil`` makes smaller files. ``quantised``: normals have 8 bits; otherwise all is float32, 24 bytes.
 
         Raises ``InputError`` for garments on the standard body.
         """
@@ -289,7 +291,7 @@ class Worn:
         vertices = np.stack([frame.vertices for frame in self.play(clip, fps=clip.fps, as_recorded=True)])
         layers = map(Dressed, self.layers, by_layer(self.garments, vertices), itertools.cycle(GARMENT_COLOURS))
         on_rig = RigClip(*wearer.to_rig(clip.poses, clip.trans), clip.fps)
-        return worn_on_rig(self.character_file, list(layers), on_rig, wearer, rig).to_bytes()
+        return worn_on_rig(self.character_file, list(layers), on_rig, wearer, rig, quantised=quantised).to_bytes()
 
     def on_rig(self) -> tuple[Wearer, FileRig]:
         """Returns the character and the rig of its file. Raises ``InputError`` for garments on the standard body."""

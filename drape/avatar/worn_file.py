@@ -77,11 +77,14 @@ def worn_vrm(payload: bytes, layers: Sequence[tuple[Jointed, JointSprings]]) -> 
     return file
 
 
-def worn_on_rig(payload: bytes, layers: Sequence[Dressed], clip: RigClip, wearer: Wearer, rig: FileRig) -> GlbFile:
+def worn_on_rig(
+    payload: bytes, layers: Sequence[Dressed], clip: RigClip, wearer: Wearer, rig: FileRig, *, quantised: bool = True
+) -> GlbFile:
     """Returns the character's file ``payload``, whose rig is ``rig``, with the garments ``layers`` in it and an
-    animation of ``clip``. Each garment has a morph target for each frame, which is its drape."""
+    animation of ``clip``. Each garment has a morph target for each frame, which is its drape. ``quantised`` is that of
+    ``add_dressed``."""
     file, nodes = _opened(payload)
-    add_dressed(file, nodes, layers, clip, wearer, rig)
+    add_dressed(file, nodes, layers, clip, wearer, rig, quantised=quantised)
     _complete(file)
     return file
 

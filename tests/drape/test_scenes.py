@@ -16,6 +16,7 @@ from drape.motion.clip import MotionClip
 from drape.scenes import scene
 from tests.drape.test_distilling import clip, me, opened
 from tests.fixtures.exports import Usd, UsdGeom, played
+from tests.fixtures.glb_reader import Reader
 
 __all__ = ["me", "opened"]  # fixtures
 
@@ -69,3 +70,13 @@ def test_the_command_writes_the_character_too(me: Path, short: MotionClip, tmp_p
     assert main([*words, str(tmp_path / "me.usdc")]) == 0
     stage = Usd.Stage.Open(str(tmp_path / "me.usdc"))
     assert sum(prim.IsA(UsdGeom.Mesh) for prim in stage.Traverse()) == 2
+
+
+def test_the_command_writes_the_rig_in_float32_if_asked(me: Path, short: MotionClip, tmp_path: Path):
+    np.savez(tmp_path / "short.npz", poses=short.poses.reshape(3, -1), trans=short.trans, mocap_framerate=30.0)
+    words = ["wear", "tank", str(tmp_path / "short.npz"), "--on", str(me), "--tier", "instant", "--rig", "--out"]
+    required = []
+    for name, more in (("small.glb", []), ("plain.glb", ["--float32"])):
+        assert main([*words, str(tmp_path / name), *more]) == 0
+        required.append(Reader((tmp_path / name).read_bytes()).json.get("extensionsRequired", []))
+    assert required == [["KHR_mesh_quantization"], []]
