@@ -362,7 +362,10 @@ def main(arguments: list[str] | None = None) -> int:
         "--up", default="auto", choices=get_args(Up), help="axis of the file; auto: by its place on the avatar"
     )
     parser.add_argument(
-        "--patches", type=float, default=1.0, help="over the usual number: 2 drapes closer to physics, and slower"
+        "--patches",
+        type=float,
+        default=1.0,
+        help="over the usual number: with 2 charts agree better, and frames take longer",
     )
     parser.add_argument(
         "--rest",

@@ -23,8 +23,8 @@ class IntakeOptions:
     """The options of an intake. ``unit`` and ``up``: the unit and the up axis of the file; "auto": as it lies best on
     the avatar.
 
-    ``patches``: the number of patches over that of ``patch_count_for``. More patches drape closer to physics, and
-    slower (docs/reference/quality.md measures the trade). ``rest``: what the cloth remembers of its shape
+    ``patches``: the number of patches over that of ``patch_count_for``. With 2 charts agree better, and frames take
+    longer (docs/reference/quality.md measures the trade). ``rest``: what the cloth remembers of its shape
     (``rest_detail.rest_of``). ``fabric``: a name or the numbers of ``fabric_table.fabric``; None stands for the fabric
     of the garment's sewing, or else jersey. ``uv_unit_m``: metres of cloth per unit of uv, where uv are its panels.
 
@@ -55,7 +55,7 @@ class IntakeOptions:
                 "patches",
                 expected=f"a number from {low:g} to {high:g}, over the usual number",
                 got=f"{self.patches:g}",
-                cure="Take 1, or 2 for an accurate drape.",
+                cure="Take 1, or 2 for charts that agree better.",
             )
 
     def completed_by(self, sewn: Sewing | None) -> IntakeOptions:
