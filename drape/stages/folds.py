@@ -205,13 +205,14 @@ class Folds(ClothStage[Constants]):
 def check_client_folds(plan: Plan) -> None:
     """Refuses (``InputError``) a plan whose folds no client can make.
 
-    A client folds jets of one garment, without colliders, and on the mesh of the answer.
+    A client folds jets of one garment of cloth, without colliders, and on the mesh of the answer.
     """
     layers, fine = plan.scene.layers, plan.scene.fine.layers
     unmet = (
         (plan.options.geometry != "jets", "geometry jets", plan.options.geometry),
         (len(layers) != 1, "one garment", f"{len(layers)}"),
         (bool(plan.options.colliders), "no colliders", "some"),
+        (bool(layers[0].garment.carriers), "cloth", "what bones carry"),
         (layers[0] is not fine[0], "resolution fine, as this garment folds on its finer mesh", plan.options.resolution),
     )
     for wrong, expected, got in unmet:

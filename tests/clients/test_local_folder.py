@@ -81,3 +81,22 @@ def test_a_body_that_stands_still_is_computed_until_its_cloth_rests(tmp_path: Pa
     assert (said["early"], said["late"]) == (False, False)
     assert said["root"] == [1, 3, 3]
     assert said["opened"] == [4, 4, 0]
+
+
+FABRIC = """
+import { LocalStream } from "./local_stream.js";
+const said = [];
+for (const options of [{}, { fabric: "denim" }]) {
+  const about = { garment: "tube", options, opened: {}, joints: [[0, 1, 0]] };
+  const onState = (state, refusal) => said.push([state, refusal?.name ?? ""]);
+  const stream = new LocalStream(about, { onFrame() {}, onState });
+  for (const fabric of [undefined, null, "denim"]) stream.open({ garment: "tube", fabric });
+}
+console.log(JSON.stringify(said));
+"""
+
+
+def test_a_folder_of_a_fabric_refuses_the_garment_s_own(tmp_path: Path):
+    """``null`` asks for the garment's own fabric, which a folder in denim has not."""
+    taken, refused = ["open", ""], ["refused", "fabric"]
+    assert answer_of(FABRIC, {}, tmp_path) == [taken, taken, refused, taken, refused, taken]

@@ -374,7 +374,12 @@ const failed = await wearing.open(null).catch((error) => error.message); // of t
 const before = asked.splice(0);
 await wearing.set({ ...input.options, fabric: ["silk"] });
 const sizes = wearing.garments.map((id) => wearing.sizeOf(id));
-console.log(JSON.stringify({ asked: before, failed, set: asked[0], sizes }));
+const set = asked.shift();
+const kept = [];
+for (const other of [{ size: "S" }, { hidden: ["shirt"] }]) {
+  await wearing.set(other).catch(({ name }) => kept.push(name));
+}
+console.log(JSON.stringify({ asked: before, failed, set, sizes, kept, after: asked }));
 """
 
 
@@ -390,6 +395,7 @@ def test_own_clothes_are_named_by_the_answer_and_lists_of_options_go_with_them(t
     assert second == whole | {"fabric": [None, "denim", None]}
     assert told["set"] == whole | {"fabric": [None, "silk", None]}
     assert told["sizes"] == [None, "L", None] and told["failed"] == "me~trousers"
+    assert told["kept"] == ["size", "hidden"] and told["after"] == []  # other meshes would come
     alone = {"named": [], "options": {"avatar": "me", "alive": True}, "opened": {"garment": "me~dress"}}
     first, second = answer_of(OWN, alone, tmp_path)["asked"]
     assert first == {"avatar": "me", "alive": True} and second == {"garment": "me~dress", "avatar": "me"}

@@ -16,6 +16,7 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric_table import fabric
 from drape.contact.projection import MOVED_M
 from drape.errors import InputError
+from drape.garment.cache import Garment
 from drape.geometry.closest import signed_distance
 from drape.live import fold_step as step
 from drape.live import two_level
@@ -140,6 +141,13 @@ def test_folds_that_no_client_makes_are_refused(runtime: DrapeRuntime, options: 
     asked = DrapeOptions.model_validate({"folds_by": "client", "geometry": "jets"} | options)
     with pytest.raises(InputError, match=f"folds_by: expected for client: {expected}"):
         runtime.plan(runtime.garments.get("tube"), asked)
+
+
+def test_what_bones_carry_is_folded_by_no_client(make_runtime: Callable[..., DrapeRuntime], tube: Garment):
+    runtime, hat = make_runtime(), tube.manifest | {"carried_by": ["head"]}
+    scene = runtime.garments.add(replace(tube, digest="d" * 64, manifest=hat), "user")
+    with pytest.raises(InputError, match="folds_by: expected for client: cloth, got what bones carry"):
+        runtime.plan(scene, DrapeOptions(folds_by="client", geometry="jets"))
 
 
 def test_bits_depend_neither_on_chunks_nor_on_who_else_is_there(runtime: DrapeRuntime):

@@ -24,8 +24,8 @@ export class LocalStream {
   open({ garment, garments, advanced, ...asked }) {
     const { options, opened } = this.about;
     const own = { ...options, ...options.advanced, garment: this.about.garment, geometry: "jets", folds_by: "client", resolution: "fine", tier: opened.tier, passes: opened.passes };
-    const chosen = Object.entries({ garment: garments ?? garment, ...asked, ...advanced }).filter(([, value]) => value !== undefined && value !== null);
-    const other = chosen.find(([name, value]) => !FREE.includes(name) && JSON.stringify(value) !== JSON.stringify(own[name]));
+    const chosen = Object.entries({ garment: garments ?? garment, ...asked, ...advanced }).filter(([name, value]) => value !== undefined && (value !== null || name === "fabric"));
+    const other = chosen.find(([name, value]) => !FREE.includes(name) && JSON.stringify(value) !== JSON.stringify(own[name] ?? null)); // no fabric: the garment's own
     if (other) {
       const [name, value] = other;
       const words = { name, expected: JSON.stringify(own[name]) ?? "nothing", got: JSON.stringify(value), kind: "InputError" };

@@ -5,6 +5,8 @@ import { unpackMesh } from "./meshes.js";
 import { Pace } from "./pace.js";
 import { clipSource, everyPicture, flatPose } from "./sources.js";
 
+const OF_MESHES = ["size", "hidden"]; // options that say which meshes come
+
 export class Wearing {
   // drape: the service's Drape; garments: ids, the innermost first; options: those of a drape.
   constructor(drape, garments, options) {
@@ -147,9 +149,10 @@ export class Wearing {
   // Drapes it otherwise from now on, by options of a drape. What the service refuses changes nothing, and rejects.
   async set(changed) {
     const [options, before] = [this.spread(changed), this.options];
-    if ("size" in options && JSON.stringify(options.size) !== JSON.stringify(before.size)) {
-      const words = { name: "size", expected: "that in which it is worn", got: JSON.stringify(options.size), kind: "InputError" };
-      throw new DrapeError({ ...words, cure: "Another size is cut anew: wear() it." });
+    const fixed = OF_MESHES.find((name) => name in options && JSON.stringify(options[name]) !== JSON.stringify(before[name]));
+    if (fixed) {
+      const words = { name: fixed, expected: "as it is worn", got: JSON.stringify(options[fixed]), kind: "InputError" };
+      throw new DrapeError({ ...words, cure: "Its meshes would be others: wear() it." });
     }
     this.options = { ...before, ...options };
     const folded = this.foldsBy === "client";

@@ -69,8 +69,6 @@ export interface DrapeOptions extends AdvancedOptions {
   advanced?: AdvancedOptions;
   /** How much inertia moves the cloth, 0 to 1. 0: each frame is the drape of its pose at rest. */
   motion?: number;
-  /** Ids of garments of this drape that are not shown. */
-  hidden?: string[];
   /** Planes, boxes and capsules in the world [m], as docs/guide/options.md describes them. */
   colliders?: object[];
   /** Pixels of the picture to a metre of the garment. Below 100 less is computed. */
@@ -95,6 +93,8 @@ export interface WearOptions extends DrapeOptions {
   folds_by?: "server" | "client" | "auto";
   /** The mesh: that of the garment's file, or the finer one that the service made of a coarse file. */
   resolution?: "delivered" | "fine";
+  /** Ids of garments of this drape that are not shown. */
+  hidden?: string[];
   /** One size for all garments, or one for each, the innermost first; null: M. */
   size?: SizeName | (SizeName | null)[];
 }
