@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, SecretStr, ValidationError
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic_settings import BaseSettings, SettingsConfigDict, SettingsError
 
 from drape.artifacts import DEFAULT_MODEL
 from drape.body.assets import DEFAULT_BODY
@@ -34,6 +34,7 @@ def page_folder(page: str) -> Path:
 PAGE = page_folder("dist")
 # Variables that begin with DRAPE_ too and that other parts of the product, or its tests, read.
 OTHERS = ("BPY", "CACHE", "DATA", "ENGINE", "ISA", "KEY", "SYSTEM", "TEST_RUN", "URL")
+CURE = "Correct or unset the variable; docs/guide/operate.md lists the settings."
 
 
 class Settings(BaseSettings):
@@ -123,12 +124,10 @@ def load_settings(**overrides: object) -> Settings:
     except ValidationError as error:
         first = error.errors()[0]
         name = f"DRAPE_{'.'.join(str(part) for part in first['loc'])}".upper()
-        raise InputError(
-            name,
-            expected=first["msg"],
-            got=repr(first.get("input")),
-            cure="Correct or unset the variable; docs/guide/operate.md lists the settings.",
-        ) from error
+        raise InputError(name, expected=first["msg"], got=repr(first.get("input")), cure=CURE) from error
+    except SettingsError as error:  # a list that is no JSON, found before any field is checked
+        name = next(f"DRAPE_{name}".upper() for name in Settings.model_fields if f'"{name}"' in str(error))
+        raise InputError(name, expected="a JSON list", got=repr(os.environ.get(name)), cure=CURE) from error
 
 
 def unread_variables() -> list[str]:

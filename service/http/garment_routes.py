@@ -10,6 +10,7 @@ import numpy as np
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel, Field
 
+from drape.avatar.own_garments import MARK
 from drape.errors import BodyError, InputError, NotFound, TooLarge
 from drape.files.looks import media_type
 from drape.garment.cache import Garment
@@ -272,9 +273,12 @@ async def delete_garment(garment_id: str, state: StateHere, client: ClientHere) 
 
 
 async def _own(garment_id: str, client: Client, state: State) -> Entry:
-    """Returns the entry of the garment. Refuses (``NotFound``) an unknown one, and (``Forbidden``) a shipped one and
-    one that another key has uploaded."""
+    """Returns the entry of the garment. Refuses (``NotFound``) an unknown one, and (``Forbidden``) a shipped one, one
+    that another key has uploaded, and one that an avatar came in."""
     entry = await state.garment(garment_id, client)
+    if MARK in entry.id:
+        cure = "Correct or delete the avatar: PATCH or DELETE /avatars/ID."
+        raise Forbidden("garment", expected="one that was uploaded", got="one that an avatar came in", cure=cure)
     if entry.source == "shipped" or entry.owner != client.name:
         whose = "a shipped one" if entry.source == "shipped" else "one of another key"
         cure = "Only the key that uploaded a garment may change it."

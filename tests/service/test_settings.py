@@ -36,6 +36,7 @@ def test_environment_sets_and_arguments_win(monkeypatch: pytest.MonkeyPatch):
         ("THREADS", ""),
         ("FOLDS", "-1"),
         ("MAX_LAYERS", "0"),
+        ("ALLOWED_HOSTS", "drape.example"),
     ],
 )
 def test_a_bad_value_is_refused_by_name(monkeypatch: pytest.MonkeyPatch, name: str, value: str):

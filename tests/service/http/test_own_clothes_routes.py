@@ -77,6 +77,12 @@ def test_its_clothes_are_garments_of_its_own(api: httpx.Client, dressed: str):
     assert api.get("/garments/nobody~top").status_code == 404
 
 
+def test_its_clothes_change_only_with_it(api: httpx.Client, dressed: str):
+    assert api.patch("/garments/doll~top", json={"name": "mine"}).status_code == 403
+    assert api.delete("/garments/doll~top").status_code == 403
+    assert not [one["id"] for one in api.get("/garments").json() if "~" in one["id"]]
+
+
 def test_it_is_draped_in_them_and_in_what_replaces_them(api: httpx.Client, dressed: str):
     asked = {"avatar": dressed, "poses": POSES.tolist(), "alive": True}
     answer = api.post("/drape", json=asked, headers=NUMBERS)
