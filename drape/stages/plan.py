@@ -83,6 +83,8 @@ class Plan:
     the garments that the network drapes: the scene's, or their subdivided meshes where a stage needs "fine", which then
     returns to the scene's. ``messages``: frames become messages of the wire. ``stepped``: the service is under load and
     computes less than was asked for. ``carried``: no steps of folds run, and the folds of the frames before fade.
+    ``worn``: how many garments were asked for, also those that need not be draped: where hidden ones are left out the
+    stages stay the outfit's.
     """
 
     scene: Scene
@@ -93,6 +95,7 @@ class Plan:
     stepped: bool = False
     carried: bool = False
     draped: tuple[Entry, ...] = ()
+    worn: int = 1
     fabrics: tuple[Fabric | None, ...] = field(default=(), compare=False)  # they follow from options and scene
 
     @cached_property
@@ -122,7 +125,7 @@ class Plan:
     def lifted(self) -> bool:
         """Returns whether folds bring all cloth off the skin and off the layers below: those of one garment, and those
         of several that feel each other (``cloth_contact``)."""
-        return self.folds and (bool(self.options.advanced.cloth_contact) or len(self.scene.layers) == 1)
+        return self.folds and (bool(self.options.advanced.cloth_contact) or self.worn == 1)
 
     @cached_property
     def projected(self) -> bool:
@@ -163,14 +166,15 @@ def make_plan(stages: Sequence[StageRules], scene: Scene, options: DrapeOptions,
     scene = scene.fine if options.resolution == "fine" else scene
     own = {name: getattr(options, name) for name in DrapeOptions.model_fields}  # requests have more fields
     known = DrapeOptions().model_copy(update=own).updated(**chosen)
-    plan = Plan(scene, known, messages, fabrics=layer_fabrics(known, len(scene.layers)))
+    worn = len(scene.layers)
+    plan = Plan(scene, known, messages, worn=worn, fabrics=layer_fabrics(known, worn))
     for stage in stages:
         stage.check(plan)
     wanted = tuple(stage for stage in stages if stage.wanted(plan))
     felt = any(stage.joins_layers(plan) for stage in wanted)
     pressed = any(stage.presses_layers(plan) for stage in wanted)
     rows, known = narrowed(scene, plan.options, felt=felt, pressed=pressed)
-    if len(rows) < len(scene.layers):
+    if len(rows) < worn:
         scene = scene.only([scene.layers[row].id for row in rows])
     plan = replace(plan, scene=scene, options=known, fabrics=tuple(plan.fabrics[row] for row in rows))
     needs = frozenset({plan.options.geometry}).union(*(stage.needs(plan) for stage in wanted))

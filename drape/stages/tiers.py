@@ -94,9 +94,10 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: TierSettings,
     lifts = folds is None and own is None and not tier.folds and folding
     if far:
         # The lift costs less than the projection, in whose place it is; without push-out neither is needed.
-        lifts = lifts and asked.push_out is not False
+        lifts = folds is None and folding and asked.push_out is not False
         folds = 0 if folds is None else folds
-        passes = _of_model(tiers[0].alone if passes is None and not folds else passes, pass_count)
+        if passes is None and not folds:
+            passes = _of_model(tiers[0].alone, pass_count)
     if folds is None:
         folds = 0 if not folding else tier.folds if own is None else own
     if passes is None:

@@ -19,6 +19,7 @@ from drape.garment.cache import Garment, save_garment
 from drape.garment.fine import SUFFIX, fine_garment
 from drape.garment.wrapping import Wrapping
 from drape.stages.batch import PoseInput
+from drape.stages.scene import Outfit
 from drape.stages.stage import carried
 from drape.stages.walk import run
 from drape.wire.options import Advanced, DrapeOptions
@@ -199,3 +200,14 @@ def test_the_command_line_has_it(url: str, coarse: Garment, tmp_path: Path):
     assert np.load(out).shape[1] == len(coarse.vertices)
     with pytest.raises(SystemExit):
         main([*base, "--resolution", "finest"])
+
+
+def test_a_hidden_garment_over_a_coarse_one_leaves_the_push_out_what_it_needs(coarse_settings: Settings):
+    own = DrapeRuntime(coarse_settings, at_once=False)
+    scene = Outfit((own.garments.get("coarse"), own.garments.get("tube")))
+    whole = DrapeOptions(advanced=Advanced(folds=2, cloth_contact=False))
+    hidden, both = (own.plan(scene, options) for options in (whole.updated(hidden=("tube",)), whole))
+    assert len(hidden.scene.layers) == 1 and "collision" in [stage.name for stage in hidden.stages]
+    alone, outfit = (asyncio.run(own.drape(plan, CLIP)) for plan in (hidden, both))
+    own.close()
+    assert_array_equal(alone.vertices, outfit.layers[0].vertices)

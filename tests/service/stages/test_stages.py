@@ -353,6 +353,16 @@ def test_what_is_far_away_is_lifted_off_the_skin_as_the_least_tier_is():
     assert found(pixels_per_m=FAR) == found(tier="instant").model_copy(update={"pixels_per_m": FAR_PIXELS_PER_M})
 
 
+def test_what_is_far_away_heeds_no_number_of_the_service_and_refuses_passes_that_the_model_lacks(
+    views_runtime: DrapeRuntime,
+):
+    far = DrapeOptions(pixels_per_m=FAR)
+    assert chosen(far, TIERS, Settings(folds=2), 4) == chosen(far, TIERS, Settings(), 4)
+    tube = views_runtime.garments.get("tube")
+    with pytest.raises(InputError, match=r"advanced.passes"):
+        views_runtime.plan(tube, far.updated(passes=views_runtime.engine.pass_count + 1))
+
+
 def test_frames_of_8_bits_are_those_of_16_to_half_a_step_at_half_the_bytes(views_runtime: DrapeRuntime):
     near, far = (views_draped(views_runtime, folds=0, passes=0, **view) for view in ({}, {"pixels_per_m": FAR}))
     assert_array_equal(near.vertices, far.vertices)
