@@ -84,13 +84,6 @@ def test_a_scan_without_a_body_may_go_farther_from_its_base():
         command.job_of(command.parse([*words, "--reach", "0"]))
 
 
-def test_shapes_of_the_body_may_begin_with_a_minus():
-    given = command.parse(["t.obj", "--out", "out", "--betas", "-1,0.5", "--no-garment"])
-    betas = command.job_of(given).betas
-    assert betas is not None
-    assert_allclose(betas, (-1.0, 0.5))
-
-
 def test_a_page_holds_its_pictures_and_escapes_its_words():
     page = ReportPage("a < b")
     page.section("Panels & seams")
