@@ -25,7 +25,7 @@ from pydantic.fields import FieldInfo
 from clients.calls import DEFAULT_URL, name_sizes
 from clients.client import DrapeClient
 from clients.mesh_files import surface_of
-from drape.errors import DrapeError, InputError, while_read
+from drape.errors import DrapeError, InputError, while_read, with_numbers_bound
 from drape.export.clips import CACHES, SCENES, check_name, npy_head, write_pieces, write_scene
 from drape.export.glb import GARMENT_COLOURS
 from drape.export.mdd import mdd_frames, mdd_head
@@ -40,7 +40,7 @@ from drape.wire.options import Advanced, DrapeOptions
 
 @while_read
 def main(arguments: list[str] | None = None) -> int:
-    options = _parser().parse_args(arguments)
+    options = _parser().parse_args(with_numbers_bound(arguments))
     try:
         with DrapeClient(options.url, key=options.key) as client:
             options.run(client, options)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from drape import __version__
-from drape.errors import InputError, Unavailable, refusing
+from drape.errors import InputError, Unavailable, refusing, with_numbers_bound
 from drape.garment.size_chart import SIZES
 from drape.wire.options import TierName
 
@@ -132,7 +132,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words and words[0] in ELSEWHERE:
         return _run_elsewhere(words[0], words[1:])
-    options = parser().parse_args(words)
+    options = parser().parse_args(with_numbers_bound(words))
     if not hasattr(options, "run"):
         parser().print_help()
         return 0

@@ -20,9 +20,10 @@ from __future__ import annotations
 import difflib
 import functools
 import os
+import re
 import select
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import ParamSpec
 
 REFUSED_EXIT_CODE = 2
@@ -139,6 +140,17 @@ def exit_status(main: Callable[[], object]) -> int:
         return 0
 
     return refusing(run)()
+
+
+def with_numbers_bound(arguments: Sequence[str] | None) -> list[str]:
+    """Returns the command line ``arguments``, by default those of the process, with lists of numbers bound to their
+    options: "--betas", "-1,0.5" becomes "--betas=-1,0.5", for ``argparse`` takes that minus for an option's."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    for place in range(len(words) - 2, -1, -1):
+        option, value = words[place : place + 2]
+        if re.fullmatch(r"--\w[^=]*", option) and re.fullmatch(r"-[\d.][^=]*[,e].*", value, re.IGNORECASE):
+            words[place : place + 2] = [f"{option}={value}"]
+    return words
 
 
 def did_you_mean(name: str, known: Iterable[str], cure: str) -> str:

@@ -193,14 +193,20 @@ def openings_by_name(pattern: Pattern) -> dict[str, list[PatternOpening]]:
         return {"neck": middle[:1], "hem": middle[1:], "cuff": sleeves}
     if (len(middle), len(aside)) == (2, 0):
         return {"waist": middle[:1], "hem": middle[1:]}
-    if (len(middle), len(aside)) == (1, 2):
+    low = min(_heights(pattern, middle[-1])) if middle else 0.0
+    if (len(middle), len(aside)) == (1, 2) and all(max(_heights(pattern, leg)) < low for leg in aside):
         return {"waist": middle, "hem": aside}
     raise InputError(
         "--style",
-        expected="the openings of a top, of trousers or of a skirt",
+        expected="the openings of a top, of a skirt, or of trousers, whose waist is above both hems",
         got=f"{len(middle)} in the middle and {len(aside)} beside it",
         cure="Leave --style out, and draw the lines on paper.",
     )
+
+
+def _heights(pattern: Pattern, opening: PatternOpening) -> list[float]:
+    """The heights [m] at which the edges of ``opening`` start, panels as placed."""
+    return [float(_start(pattern, ref)[1]) for ref in opening.refs]
 
 
 def openings_called(pattern: Pattern, name: str, part: str) -> list[PatternOpening]:

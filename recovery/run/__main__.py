@@ -19,7 +19,7 @@ import numpy as np
 
 from drape.body.assets import DEFAULT_BODY
 from drape.cloth.material import DEFAULT_MATERIAL, FABRICS, MEASURED
-from drape.errors import InputError, refusing
+from drape.errors import InputError, refusing, with_numbers_bound
 from drape.files.atomic import write_whole
 from drape.garment.mesh_checks import UNITS_M, UP_AXES
 from recovery import progress
@@ -114,7 +114,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     add_style_options(parser)
     parser.add_argument("--no-retarget", dest="retarget", action="store_false", help="leave out other bodies and poses")
     parser.add_argument("--no-garment", dest="garment", action="store_false", help="write no garment cache")
-    return parser.parse_args(arguments)
+    return parser.parse_args(with_numbers_bound(arguments))
 
 
 def job_of(given: argparse.Namespace) -> RecoveryJob:

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import get_args
 
-from drape.errors import DrapeError
+from drape.errors import DrapeError, with_numbers_bound
 from drape.wire.options import DrapeOptions, TierName
 
 
@@ -31,7 +31,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--betas", type=_numbers, default=(), help="the body's shape coefficients, comma-separated (default: zeros)"
     )
-    options = parser.parse_args(arguments)
+    options = parser.parse_args(with_numbers_bound(arguments))
     try:
         return _write(options)
     except DrapeError as error:

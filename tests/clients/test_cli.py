@@ -35,14 +35,14 @@ def test_a_clip_becomes_a_glb(live: str, tmp_path: Path, capsys: pytest.CaptureF
 def test_a_file_of_motion_becomes_vertices(live: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = tmp_path / "out.npy"
     clip = ROOT / "drape/assets/motions/squat.npz"
-    base = f"drape --url {live} --garment tube --motion {clip} --fps 5 --betas 0.5 --out {out}".split()
+    base = f"drape --url {live} --garment tube --motion {clip} --fps 5 --betas -0.5,0 --out {out}".split()
     assert main(base) == 0
     placed = np.load(out)
     assert placed.shape == (25, 216, 3)
     assert main([*base, "--as-recorded", "--no-push-out"]) == 0
     recorded = read_motion(clip).resampled(5.0)
     with DrapeClient(live) as client:
-        expected = client.drape("tube", recorded, betas=np.array([0.5]), push_out=False)
+        expected = client.drape("tube", recorded, betas=np.array([-0.5, 0.0]), push_out=False)
     np.testing.assert_array_equal(np.load(out), expected)
     assert main([*base, "--as-recorded", "--advanced", "push_out=false", "inertia=network"]) == 0
     np.testing.assert_array_equal(np.load(out), expected)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 import pickle
 
 import pytest
 
 from drape import errors
-from drape.errors import DrapeError, did_you_mean
+from drape.errors import DrapeError, did_you_mean, with_numbers_bound
 
 PARTS = {"name": "patch count", "expected": "at most 3", "got": "4", "cure": "Ask for fewer."}
 CLASSES = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, DrapeError)]
@@ -55,3 +56,13 @@ def test_parts_are_named_not_counted():
 def test_a_name_that_is_nearly_one_is_told(name: str, near: str | None):
     cure = did_you_mean(name, ["tshirt", "trousers", "dress"], "Look.")
     assert cure == (f"Did you mean {near}? Look." if near else "Look.")
+
+
+@pytest.mark.parametrize("numbers", ["-1,0.5", "-.5,1", "-1e-3", "-1"])
+def test_a_list_of_numbers_may_begin_with_a_minus(numbers: str):
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--betas")
+    parser.add_argument("--still", action="store_true")
+    parser.add_argument("rest", nargs="*")
+    for words in (["a", "--betas", numbers, "--still"], ["a", f"--betas={numbers}", "--still"]):
+        assert vars(parser.parse_args(with_numbers_bound(words))) == {"betas": numbers, "still": True, "rest": ["a"]}

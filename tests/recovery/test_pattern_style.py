@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.errors import InputError, NotFound
+from recovery.catalogue.design_drape import design
 from recovery.pattern import geometry
 from recovery.pattern.__main__ import main
 from recovery.pattern.bases import BASES
@@ -273,6 +274,18 @@ def halved_back() -> Pattern:
     return part_panel(pattern, "back", (top, low), [line], "back_other")[0]
 
 
+def open_shirt() -> Pattern:
+    """The catalogue's shirt without its collar, open in front: neck, fronts and hem are one opening, as a waist is."""
+    shirt = design("shirt", default_measurements()).pattern
+    taken = ("collar_stand", "collar_fall")
+    stitches = [stitch for stitch in shirt.stitches if not {stitch.first.panel, stitch.second.panel} & {*taken}]
+    stitches = [
+        stitch for stitch in stitches if {stitch.first.panel, stitch.second.panel} != {"front_left", "front_right"}
+    ]
+    panels = tuple(panel for panel in shirt.panels if panel.name not in taken)
+    return replace(shirt, panels=panels, stitches=tuple(stitches), panel_order=None)
+
+
 @pytest.mark.parametrize(
     ("cut", "message"),
     [
@@ -285,6 +298,7 @@ def halved_back() -> Pattern:
         (lambda: made(base("tank"), True), "sleeves in two halves"),
         (lambda: made(base("trousers"), waistband=0.3), "since front_left"),
         (lambda: made(JACKET, waistband=0.03), "0 in the middle and 1 beside it"),
+        (lambda: made(open_shirt(), waistband=0.03), "1 in the middle and 2 beside it"),
         (lambda: made(halved_back(), yoke=0.03), "a back in one piece, got 2"),
     ],
 )

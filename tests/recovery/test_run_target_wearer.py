@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
+from recovery.run import __main__ as command
 from recovery.run.target import facing, inside_wearer, turn_about, up_axis
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.test_run_cut import worn
@@ -68,3 +69,8 @@ def test_what_openings_do_not_tell_stays():
     bag = plain_mesh("bag", *round_tube([0.2, 0.2, 1e-3], [0.0, 0.3, 0.4], 12))
     one = bag.take_faces(bag.vertices[bag.faces][:, :, 1].max(axis=1) > 0.0)
     assert up_axis(one) == "y" and facing(one) is one
+
+
+def test_the_shape_of_the_body_may_begin_with_a_minus():
+    given = command.parse(["t.obj", "--out", "out", "--betas", "-1,0.5", "--no-garment"])
+    assert command.read_betas(given.betas).tolist() == [-1.0, 0.5]
