@@ -4,7 +4,7 @@
 #
 # BASE    an image of Linux for x86-64 or arm64 with glibc, Python 3.11 or newer as python3, and its venv; its user is root
 # WHEELS  made: from these sources, dist: those that `make release` has left in dist/
-# EXTRAS  of the core, serve among them: serve,gpu to run with --gpus all -e DRAPE_PROVIDER=cuda
+# EXTRAS  serve, and more of the core's that pip finds as wheels: serve,gpu to run with --gpus all -e DRAPE_PROVIDER=cuda
 ARG BASE=python:3.12-slim
 ARG WHEELS=made
 
