@@ -2,9 +2,9 @@
 #   docker run --read-only -p 127.0.0.1:8000:8000 -e DRAPE_OPEN=true -v garments:/data drape
 # For others mount a file of keys and name it in DRAPE_KEYS_FILE. All else: docs/guide/deploy.md.
 #
-# BASE    any image of Linux with glibc, Python 3.11 or newer as python3, and its venv
+# BASE    an image of Linux for x86-64 or arm64 with glibc, Python 3.11 or newer as python3, and its venv; its user is root
 # WHEELS  made: from these sources, dist: those that `make release` has left in dist/
-# EXTRAS  of the core: serve, or serve,gpu to run with --gpus all -e DRAPE_PROVIDER=cuda
+# EXTRAS  serve, and more of the core's that pip finds as wheels: serve,gpu to run with --gpus all -e DRAPE_PROVIDER=cuda
 ARG BASE=python:3.12-slim
 ARG WHEELS=made
 

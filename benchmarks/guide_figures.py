@@ -19,8 +19,7 @@ CLIENT: Columns = {
     "smooth_mm": ("jets without folds [mm]", ".0f"),
 }  # fmt: skip
 LOCAL: Columns = {
-    "garment": ("garment", "s"), "folder_mb": ("the folder [MB]", ".1f"),
-    "browser_ms": ("a frame in Chromium [ms]", ".1f"),
+    "garment": ("garment", "s"), "browser_ms": ("a frame in Chromium [ms]", ".1f"),
     "least_ratio": ("its engine in Node.js over the service's frame", ".1f"),
     "ten_mm": ("apart in ten frames [mm]", ".3f"), "first_mm": ("in the first second [mm]", ".2f"),
 }  # fmt: skip
@@ -63,8 +62,8 @@ def client_folds(records: Records) -> str:
 
 
 def static_page(records: Records) -> str:
-    """Returns a Markdown table of drapes that a page computes without a service, with a row for each garment: megabytes
-    that it loads, times, and the distance [mm] of its drape from the service's."""
+    """Returns a Markdown table of drapes that a page computes without a service, with a row for each garment: times,
+    and the distance [mm] of its drape from the service's."""
     return _by_garment(records, "static_page", LOCAL)
 
 

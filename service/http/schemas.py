@@ -171,9 +171,7 @@ class CardHealth(BaseModel):
     """The state of the graphics cards that compute folds, all together."""
 
     name: str
-    fault: str = Field(
-        description="The sentence that says why the processor computes the frames. Empty while a card does."
-    )
+    fault: str = Field(description="Why cards are not used, a sentence for each. Empty while all of them are.")
     occupied: float = Field(description="The share of the memory that is used, 0 to 1.")
     busy: float = Field(description="The share of the time since the start in which launches ran, 0 to 1.")
     queue_s: float = Field(description="The age of the oldest frame that waits [s].")
