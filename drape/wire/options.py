@@ -188,8 +188,8 @@ class DrapeOptions(BaseModel):
         gt=0.0,
         allow_inf_nan=False,
         description="How many pixels of the picture a metre of the garment takes. Below 100 the garment is far away: "
-        "it gets tier instant, unless advanced names folds, and a stream's FRAMEs have 8 bits. Left out: it is "
-        "near.",
+        "if advanced names nothing it gets tier instant, and a stream's FRAMEs have 8 bits in any case. Left "
+        "out: it is near.",
     )
     advanced: Advanced = Field(
         default_factory=Advanced,
