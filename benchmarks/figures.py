@@ -104,7 +104,7 @@ def tiers(records: Records) -> str:
             rest = [f"{row['gain_p05']:.3f}", f"{row['detail_share']:.2f}", f"{row['skin_pixels_pct']:.3f}"]
             lines.append((row["time_ratio"], [f"`{row['tier']}`", *cost, gains, *rest]))
     lines.sort()
-    titles = ["tier", "time, rival = 1", "processor [ms]", "gain, trained on / unseen", "what 95 % of the cases reach"]
+    titles = ["tier", "time, rival = 1", "processor [ms]", "gain, trained on / unseen", "its 5th percentile"]
     table = markdown_table([*titles, "detail share", "skin [% of pixels]"], (line for _, line in lines))
     return f"{table}\n\n{measured_on(record, 'tradeoff.md#tradeoff')}"
 

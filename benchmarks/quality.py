@@ -233,9 +233,7 @@ def _in_fabric(garment: str, fabric_name: str | None) -> str:
     COLUMNS,
     *inputs(quick_garments=("tshirt",)),
     Option("--frames", 12, "hard poses", 2),
-    Option(
-        "--set", None, "what garments are (default: shipped ones trained, files unseen)", choices=("trained", "unseen")
-    ),
+    Option("--set", None, "what garments are (default: what the model's manifest says)", choices=("trained", "unseen")),
     Option("--patches", None, "cover garments anew, by this many over the usual number", kind=float),
     Option("--fabrics", (), "measure in each (drape.cloth.fabric_table)"),
     Option("--material", None, "measure in a cloth of before fabrics (drape.cloth.material)"),

@@ -98,7 +98,7 @@ def four_table(record: Record) -> str:
 TRADE = {
     "tier": ("tier", "s"), "knobs": ("what runs", "s"), "time_ratio": ("time, rival = 1", ".2f"),
     "cpu_ms": ("processor [ms]", ".1f"), "p95_ms": ("p95 [ms]", ".1f"), "gain": ("gain", ".3f"),
-    "gain_p05": ("of the worst twentieth", ".3f"), "curvature": ("curvature over physics'", ".2f"),
+    "gain_p05": ("5th percentile", ".3f"), "curvature": ("curvature over physics'", ".2f"),
     "error_mm": ("to physics [mm]", ".1f"),
     "edge_pct": ("edge %", ".2f"), "detail_share": ("detail share", ".2f"), "jitter_ratio": ("jitter", ".2f"),
     "colliding_pct": ("colliding %", ".2f"), "skin_pixels_pct": ("skin, pixels %", ".3f"),

@@ -88,7 +88,7 @@ class Advanced(BaseModel):
         le=16,
         strict=True,
         description="How many steps the solver of folds takes in each frame. 0: no folds. Left out: the tier's "
-        "number; for jets 0.",
+        "number; for jets that no client folds 0.",
     )
     coarse: bool | None = Field(
         default=None,
@@ -114,17 +114,18 @@ class Advanced(BaseModel):
     cloth_contact: bool | None = Field(
         default=None,
         strict=True,
-        description="With folds: whether a garment keeps off itself and off the garments below it. Left out: true.",
+        description="With steps of folds: whether a garment keeps off itself. With them or tier instant: whether the "
+        "garments of an outfit press on each other; otherwise push_out parts them. Left out: true.",
     )
     push_out: bool | None = Field(
         default=None,
-        description="Whether vertices are moved out of the body and of the garments below. With folds they are "
-        "lifted, without folds they are pushed. Left out: true.",
+        description="Whether cloth is moved out of the body, and out of the garments below where layers do not press "
+        "on each other (cloth_contact). Left out: true.",
     )
     inertia: Inertia | None = Field(
         default=None,
         description="Where inertia comes from. mesh: the cloth's own mass. network: the network, if the model is "
-        "dynamic. Left out: the service's setting; for jets network.",
+        "dynamic. Left out: the service's setting; for jets that no client folds network.",
     )
 
 
@@ -145,20 +146,19 @@ class DrapeOptions(BaseModel):
         ge=0.0,
         le=1.0,
         allow_inf_nan=False,
-        description="How much inertia moves the cloth. 0: each frame is the drape of its pose at rest. 1: in full. "
-        "Left out: 1.",
+        description="How much inertia moves the cloth. 0: none. 1: in full. Left out: 1; with tier exact, which takes "
+        "nothing else, 0.",
     )
     tier: TierName | Literal["exact"] | None = Field(
         default=None,
         description="How much is computed: a name for values of passes, folds and coarse (GET /tiers). A value of "
         "advanced wins over the tier's. Left out: the service's setting, balanced. exact is for "
-        "clips alone: the answer is a job that computes cloth at rest that does not pass through itself.",
+        "clips alone: the answer is a job that seeks cloth at rest that does not pass through itself.",
     )
     folds_by: FoldsBy = Field(
         default="server",
         description="Who takes the steps of folds. server: the service. client: the client, which needs jets, one "
-        "garment without colliders, and GET /garments/{id}/folds; the service then computes the network "
-        "alone.",
+        "garment of cloth without colliders, and GET /garments/{id}/folds.",
     )
     fabric: FabricChoice | Annotated[tuple[FabricChoice | None, ...], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
         default=None,
@@ -168,7 +168,7 @@ class DrapeOptions(BaseModel):
     hidden: Annotated[tuple[Identifier, ...], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
         default=None,
         description="The ids of garments of this request that the viewer does not see. The answer leaves them out. "
-        "The service computes of a hidden garment only what a visible one touches.",
+        "The others are draped as in the whole outfit.",
     )
     colliders: Annotated[tuple[Collider, ...], Len(0, COLLIDER_LIMIT), FIRST_ONLY] | None = Field(
         default=None, description="Planes, boxes and capsules that the cloth collides with, in the world's coordinates."
@@ -181,15 +181,15 @@ class DrapeOptions(BaseModel):
     resolution: Resolution = Field(
         default="delivered",
         description="The mesh of the answer. delivered: that of the garment's file. fine: the finer mesh that intake "
-        "made if the file's is coarse.",
+        "made if the file's is coarse, or the cloth under the drawn mesh of a garment that is hung (GET /garments).",
     )
     pixels_per_m: float | None = Field(
         default=None,
         gt=0.0,
         allow_inf_nan=False,
         description="How many pixels of the picture a metre of the garment takes. Below 100 the garment is far away: "
-        "it gets tier instant, unless the request names passes or folds, and a stream's coordinates have "
-        "8 bits. Left out: it is near.",
+        "if advanced names nothing it gets tier instant, and a stream's FRAMEs have 8 bits in any case. Left "
+        "out: it is near.",
     )
     advanced: Advanced = Field(
         default_factory=Advanced,

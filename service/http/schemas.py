@@ -87,7 +87,7 @@ class ClipOptions(DrapeOptions, WornGarments, OnAvatar, PosedOptions):
     """The options of a clip of a garment, or of several worn over each other, on a body in motion: all but the
     poses."""
 
-    body: bool = Field(default=False, description="Whether a GLB also has the body, as a skinned mesh.")
+    body: bool = Field(default=False, description="Whether a GLB also has the body, as a skinned mesh. Not with rig.")
     rig: bool = Field(
         default=False,
         description="Whether a GLB of an avatar has the garments skinned to the nodes of the avatar's own file, with "
@@ -119,8 +119,8 @@ class ClipOptions(DrapeOptions, WornGarments, OnAvatar, PosedOptions):
     )
     quantised: bool = Field(
         default=True,
-        description="Whether a GLB has positions of 16 bits and normals of 8 (KHR_mesh_quantization), which halves "
-        "its size. false: float32.",
+        description="Whether the garments of a GLB have positions of 16 bits and normals of 8 (KHR_mesh_quantization). "
+        "With rig only the normals have fewer bits, with joints neither. false: float32.",
     )
 
 
