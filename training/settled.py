@@ -27,6 +27,7 @@ from torch import Tensor
 
 from drape.arrays.subnormals import flushed
 from drape.body.model import BodyModel
+from drape.catalog import MOTIONS_DIR
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.cloth.material import Material
@@ -116,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     torch.set_num_threads(1)
     config, weights = finetune_from(options.model, options.garment)
     config = with_more_garments(config, options.beside)
-    folders = options.motions or [folder for folder in [data_folder("motions")] if folder is not None]
+    folders = options.motions or [folder for folder in [data_folder("motions")] if folder is not None] or [MOTIONS_DIR]
     bank = PoseBank(read_training_clips(folders, held_out=config.data.held_out), config.data)
     options.out.mkdir(parents=True, exist_ok=True)
     count, lost = 0, 0

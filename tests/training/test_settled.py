@@ -108,3 +108,11 @@ def test_folders_without_files_and_files_of_others_are_refused(made: tuple[Train
             device=CPU,
             settled=SettledBank(folder),
         )
+
+
+def test_without_a_folder_of_data_drapes_are_at_poses_of_the_shipped_clips(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(settled, "data_folder", lambda name: None)
+    arguments = ["--model", "onefit", "--garment", "tshirt", "--minutes", "0", "--out", str(tmp_path / "settled")]
+    assert settled.main(arguments) == 0
