@@ -54,7 +54,8 @@ def lateness(records: Records) -> str:
     rows = [row for row in record["rows"] if row["run"] == "median" or row["beside"]]
     table = rows_table(LATE, (row | {"beside": row["beside"] or "nothing"} for row in rows))
     runs = max(int(row["run"]) for row in record["rows"] if row["run"].isdigit())
-    return f"{table}\n\nRows beside nothing are medians of {runs} runs, the others one run. {measured_on(record, 'lateness.json')}"
+    told = f"Rows beside nothing are medians of {runs} runs, the others one run."
+    return f"{table}\n\n{told} {measured_on(record, 'lateness.json')}"
 
 
 def client_folds(records: Records) -> str:
