@@ -151,11 +151,11 @@ def one_frame(records: Records) -> str:
     head, serving = headline(records), records["serving"]
     (trade,) = [row for row in records["tradeoff"]["means"] if row["tier"] == DEFAULT_TIER]
     (single,) = [row for row in _streams(serving, DEFAULT_TIER) if row["clients"] == 1]
-    alone_ms, one = serving["model_ms"][DEFAULT_TIER], "a T-shirt's stream in a program"
+    alone_ms, stream = serving["model_ms"][DEFAULT_TIER], "a T-shirt's stream in a program"
     lines = [
-        [f"{one}, one frame after the other", "processor", head.frame_ms, "frame"],
+        [f"{stream}, one frame after the other", "processor", head.frame_ms, "frame"],
         ["the mean over garments and clips, which `GET /tiers` tells", "processor", trade["cpu_ms"], "tradeoff"],
-        [f"{one} with pauses, {head.fps:.0f} frames a second", "wall", alone_ms, "serving"],
+        [f"{stream} with pauses, {head.fps:.0f} frames a second", "wall", alone_ms, "serving"],
         [f"a pose of {head.streams} T-shirts' streams, the service's process", "processor", head.pose_ms, "serving"],
         ["a pose of one T-shirt's stream, the service's process", "processor", single["cpu_ms"], "serving"],
     ]  # fmt: skip
