@@ -151,12 +151,13 @@ def one_frame(records: Records) -> str:
     head, serving = headline(records), records["serving"]
     (trade,) = [row for row in records["tradeoff"]["means"] if row["tier"] == DEFAULT_TIER]
     (single,) = [row for row in _streams(serving, DEFAULT_TIER) if row["clients"] == 1]
+    alone_ms, stream = serving["model_ms"][DEFAULT_TIER], "a T-shirt's stream in a program"
     lines = [
-        ["a T-shirt's stream in a program, one frame after the other", "processor", head.frame_ms, "frame"],
+        [f"{stream}, one frame after the other", "processor", head.frame_ms, "frame"],
         ["the mean over garments and clips, which `GET /tiers` tells", "processor", trade["cpu_ms"], "tradeoff"],
-        [f"the same with pauses, {head.fps:.0f} frames a second", "wall", serving["model_ms"][DEFAULT_TIER], "serving"],
-        [f"a pose of {head.streams} streams, all of the service's process", "processor", head.pose_ms, "serving"],
-        ["a pose of one stream, all of the service's process", "processor", single["cpu_ms"], "serving"],
+        [f"{stream} with pauses, {head.fps:.0f} frames a second", "wall", alone_ms, "serving"],
+        [f"a pose of {head.streams} T-shirts' streams, the service's process", "processor", head.pose_ms, "serving"],
+        ["a pose of one T-shirt's stream, the service's process", "processor", single["cpu_ms"], "serving"],
     ]  # fmt: skip
     rows = ([what, clock, f"{ms:.1f}", f"`{source}.json`"] for what, clock, ms, source in lines)
     return markdown_table([f"`{DEFAULT_TIER}`: what is measured", "clock", "[ms]", "record"], rows)
@@ -246,8 +247,10 @@ def _load(row: Row) -> list[str]:
 
 
 def _carried(record: Record) -> str:
-    own = {name.removeprefix("service "): count for name, count in record["max_clients"].items() if "twin" not in name}
-    return f"The most that were tried and carried: {', '.join(f'{count} of `{name}`' for name, count in own.items())}."
+    own = {name.removeprefix("service "): count for name, count in record["max_clients"].items()}
+    tried = sorted({row["clients"] for tier in own for row in _streams(record, tier)})
+    most = ", ".join(f"{count} of `{name}`" for name, count in own.items())
+    return f"Of {', '.join(map(str, tried))} clients at a time it carried {most}."
 
 
 def _frame(record: Record, garment: str, tier: str) -> Row:

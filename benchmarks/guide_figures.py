@@ -48,11 +48,13 @@ WAYS = {
 
 def lateness(records: Records) -> str:
     """Returns a Markdown table of how late frames of streams come [ms]. It has a row for each kind of work that runs
-    beside the streams, and one with the median of the runs beside none."""
+    beside the streams, and one with the medians of the runs beside none."""
     record = records["lateness"]
     rows = [row for row in record["rows"] if row["run"] == "median" or row["beside"]]
     table = rows_table(LATE, (row | {"beside": row["beside"] or "nothing"} for row in rows))
-    return f"{table}\n\n{measured_on(record, 'lateness.json')}"
+    runs = max(int(row["run"]) for row in record["rows"] if row["run"].isdigit())
+    told = f"Rows beside nothing are medians of {runs} runs, the others one run."
+    return f"{table}\n\n{told} {measured_on(record, 'lateness.json')}"
 
 
 def client_folds(records: Records) -> str:

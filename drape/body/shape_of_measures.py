@@ -11,6 +11,7 @@ that coefficients stay within theirs and the others make up for those that canno
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import NamedTuple
@@ -94,6 +95,7 @@ def _checked(body: BodyModel, asked: Mapping[str, float]) -> list[str]:
         low, high = ranges[name]
         if not low <= asked[name] <= high:  # The negation also catches NaN.
             unit = name.rpartition("_")[2]
-            expected, cure = f"{low:.3g} to {high:.3g} {unit}, which this body can have", "Lengths are in metres."
+            least, most = math.ceil(1e3 * low) / 1e3, math.floor(1e3 * high) / 1e3  # What is named is taken.
+            expected, cure = f"{least:g} to {most:g} {unit}, which this body can have", "Lengths are in metres."
             raise BodyError(name, expected=expected, got=f"{asked[name]:g} {unit}", cure=cure)
     return names

@@ -155,8 +155,8 @@ def _session_options(weights: dict[str, bytes], device: Device) -> onnxruntime.S
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = device.threads
     options.inter_op_num_threads = 1
-    # Threads that sleep between operations of microseconds lose more than they gain (docs/reference/performance.md),
-    # and those that spin between frames burn a core: so they spin while a graph runs.
+    # Threads that sleep between operations of microseconds lose more than they gain, and those that spin between frames
+    # burn a core: so they spin while a graph runs (docs/archive/log-2026-W47.md, two threads that sleep).
     options.add_session_config_entry("session.intra_op.allow_spinning", "1")
     options.add_session_config_entry("session.force_spinning_stop", "1")
     options.add_session_config_entry("session.set_denormal_as_zero", "1")

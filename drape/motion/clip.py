@@ -138,7 +138,7 @@ def joint_steps(clip: MotionClip) -> np.ndarray:
 def flagged_steps(clip: MotionClip) -> np.ndarray:
     """Returns whether any joint turns faster than ``FLAGGED_SPEED`` from frame i to i + 1, bool (F - 1,).
 
-    Two orientations are never more than pi apart, so below 10 frames per second nothing is flagged.
+    Two orientations are never more than pi apart, so below 9.5 frames per second nothing is flagged.
     """
     return np.any(joint_steps(clip) > FLAGGED_SPEED / clip.fps, axis=-1)
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 WINDOW_S = 0.5  # the time over which poses are counted
 LATE_SHARE = 0.05  # the share of late poses above which streams step down
-SPARED = 0.125  # the share of a frame's time that one step saves, about: 7 to 23 % (docs/reference/performance.md)
+SPARED = 0.125  # the share of a frame's time that one step is taken to save; a tier saves more (tradeoff.json)
 CALM_S, CALM_LIMIT_S = 2.0, 64.0  # the time without late poses before a step up, at first and at most
 ROOM = 0.8  # the share of the time that workers may be busy after a step up
 GUESS = 1.5  # how much longer a frame is expected to take one step up, before that is measured

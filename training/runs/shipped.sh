@@ -4,7 +4,7 @@
 # weights went on from such a model with the sewn catalogue and drapes that folds go on from (docs/guide/training.md); the
 # manifest's "training" tells the last round.
 #
-# Poses: DRAPE_DATA/motions holds clips of the CMU Graphics Lab Motion Capture Database as ASF/AMC or AMASS
+# Poses: DRAPE_DATA/motions holds clips of the CMU Graphics Lab Motion Capture Database as AMASS or BVH
 # files (docs/guide/data.md says which and where from). "The data used in this project was obtained from
 # mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217."
 set -eu

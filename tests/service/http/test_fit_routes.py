@@ -52,7 +52,7 @@ def test_measures_become_a_shape_that_has_them(api: httpx.Client, body: BodyMode
 @pytest.mark.parametrize(
     ("asked", "status", "words"),
     [
-        ({"height_m": 170.0}, 422, "height_m: expected 1.26 to 2.41 m, which this body can have, got 170 m"),
+        ({"height_m": 170.0}, 422, "height_m: expected 1.259 to 2.408 m, which this body can have, got 170 m"),
         ({"chest_m": None}, 422, "measures: expected some of height_m"),
         ({"height": 1.7}, 400, "height: expected no such field"),
         ({"height_m": -1.7}, 400, "height_m: expected greater than 0"),
