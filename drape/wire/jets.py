@@ -35,7 +35,7 @@ class JetFrame:
 
     ``jet`` (K, 45) [patch scales] is the change of each patch's rest surface in the patch's frame, the push-out
     included. ``rotation`` (K, 3, 3) and ``centre`` (K, 3) [m], relative to ``root`` (3,) float64 [m], are the patches'
-    posed frames. Vertices that a client makes of the jets lie at most ``left_m`` [m] from where the push-out put them.
+    posed frames. Vertices that a client makes of the jets are short of clear by ``left_m`` [m] at most.
     Other numbers are those of ``drape.wire.messages.Frame``.
     """
 
