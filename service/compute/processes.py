@@ -102,7 +102,7 @@ async def run_process(
         JOBS.discard(job)
         kill(process)
         await asyncio.wait([connecting])
-        if connecting.exception() is None:
+        if not connecting.cancelled() and connecting.exception() is None:
             connecting.result()[0].close()
         await wait_for_end(process)
 
