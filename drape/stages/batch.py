@@ -166,8 +166,8 @@ class Quality:
 
     ``pushed_share`` is the share of the visible vertices that the collision projection or folds moved off the skin, and
     ``push_max_m`` [m] is how far at most. Vertices that a client makes of pushed jets are short of clear by ``left_m``
-    [m] at most. ``folds_resets`` is the number of layers that began their folds anew. ``novelty`` says how
-    unlike training the pose is; a pose above 1 is novel (``body.pose_distance``).
+    [m] at most. ``folds_resets`` is the number of layers that began their folds anew. ``novelty`` says how unlike
+    training the pose is; a pose above 1 is novel (``body.pose_distance``).
     """
 
     pushed_share: np.ndarray

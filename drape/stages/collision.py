@@ -124,7 +124,7 @@ class Pushed:
     """F frames of a pushed garment: ``vertices`` [m] (F, V, 3) and how far each was moved, ``way_m`` [m] (F, V).
 
     ``jet`` (F, K, 45) [patch scales] are the pushed jets, None where none were given. Vertices that are made of it are
-    short of clear by ``left_m`` [m] (F,) at most.
+    short of clear by ``left_m`` [m] (F,) at most, and may lie farther than that from ``vertices``.
     """
 
     vertices: np.ndarray

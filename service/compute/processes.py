@@ -89,16 +89,21 @@ async def run_process(
             process = start_process(module, *arguments, stdin=file, quiet=quiet)
     job, reader = WatchedJob(lane, [partial(spent_s, process.pid)]), asyncio.StreamReader()
     JOBS.add(job)
-    pipe: asyncio.BaseTransport | None = None
+    loop = asyncio.get_running_loop()
+    # Cancelled on the way, uvloop closes the descriptor and leaves ``process.stdout`` open, which closes it again:
+    # by then it may be that of another file.
+    connecting = asyncio.ensure_future(
+        loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), process.stdout)
+    )
     try:
-        loop = asyncio.get_running_loop()
-        pipe, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), process.stdout)
+        await asyncio.shield(connecting)
         yield process, reader
     finally:
         JOBS.discard(job)
         kill(process)
-        if pipe is not None:
-            pipe.close()
+        await asyncio.wait([connecting])
+        if not connecting.cancelled() and connecting.exception() is None:
+            connecting.result()[0].close()
         await wait_for_end(process)
 
 

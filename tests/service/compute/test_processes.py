@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import ctypes
+import gc
+import os
 import subprocess
 import threading
 from collections.abc import Callable
@@ -123,6 +125,48 @@ def test_a_process_hears_all_and_is_killed_with_its_block_and_its_children(tmp_p
     wait_until(lambda: state(child) == state(pid) == "Z")
     assert threading.active_count() <= threads
     assert sorted(path.name for path in tmp_path.iterdir() if path.suffix) == ["spoken.py"]
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_a_process_that_is_cancelled_as_it_begins_closes_no_descriptor_twice(tmp_path: Path, monkeypatch, turns: int):
+    module, start = spoken(tmp_path, monkeypatch, "import time\ntime.sleep(1000)\n"), processes.start_process
+    number: list[int] = []
+
+    def noted(*arguments: Any, **named: Any) -> processes.Process:
+        process = start(*arguments, **named)
+        number.append(process.stdout.fileno())  # pyright: ignore[reportOptionalMemberAccess]
+        return process
+
+    monkeypatch.setattr(processes, "start_process", noted)
+
+    async def run() -> None:
+        async with processes.run_process("test", module, write=partial(_write, b""), folder=tmp_path):
+            await asyncio.Event().wait()
+
+    async def lost() -> list[int]:
+        running = asyncio.ensure_future(run())
+        while not number:
+            await asyncio.sleep(0.0)
+        for _ in range(turns):
+            await asyncio.sleep(0.0)
+        running.cancel()
+        await asyncio.wait([running])
+        others = [os.open(os.devnull, os.O_RDONLY) for _ in range(8)]
+        del running
+        gc.collect()
+        return [one for one in others if not closes(one)]
+
+    uvloop = pytest.importorskip("uvloop")
+    assert uvloop.run(lost()) == []
+
+
+def closes(descriptor: int) -> bool:
+    """Closes ``descriptor``; whether it was open until now."""
+    try:
+        os.close(descriptor)
+    except OSError:
+        return False
+    return True
 
 
 def state(pid: int) -> str:
