@@ -35,6 +35,7 @@ from drape.stages.walk import run, walk
 from drape.wire.options import Advanced, DrapeOptions
 from service.compute.avatars import Avatars
 from service.compute.constants_process import ConstantsProcess
+from service.compute.garment_files import list_shipped
 from service.compute.garments import Registry, begin_reading
 from service.compute.threads import ComputeThreads
 from service.errors import InternalError
@@ -277,11 +278,11 @@ def _engine(settings: Settings) -> Engine:
 
 
 class Motions:
-    """The sample clips, npz files in ``folder``, by their ids. Raises what ``read_motion`` raises of an unreadable one,
-    which stops the start."""
+    """The sample clips, npz files in ``folder``, by their ids. Refuses a folder that does not exist, and raises what
+    ``read_motion`` raises of an unreadable clip, which stops the start."""
 
     def __init__(self, folder: Path) -> None:
-        self._clips = {path.stem: read_motion(path) for path in sorted(folder.glob("*.npz"))}
+        self._clips = {path.stem: read_motion(path) for path in list_shipped(folder, "DRAPE_MOTIONS_DIR")}
 
     def ids(self) -> list[str]:
         return list(self._clips)

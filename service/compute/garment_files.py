@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
-from drape.errors import ArtifactError
+from drape.errors import ArtifactError, InputError
 from drape.stages.scene import UNCHANGED, About
 from service.compute.json_records import parsed_record
 
@@ -31,6 +31,15 @@ def owner_of(path: Path | None) -> str | None:
     """Returns the key in whose folder the file ``path`` lies; None where it lies in no key's folder."""
     folder = "" if path is None else path.parent.name
     return folder.removeprefix(OWNED) if folder.startswith(OWNED) else None
+
+
+def list_shipped(folder: Path, variable: str) -> list[Path]:
+    """Returns the npz files in ``folder``, sorted. Refuses (``InputError``) a folder that does not exist; ``variable``
+    is the setting that names it."""
+    if not folder.is_dir():
+        cure = "Correct or unset the variable."
+        raise InputError(variable, expected="an existing folder", got=str(folder), cure=cure)
+    return sorted(folder.glob("*.npz"))
 
 
 def list_caches(root: Path) -> dict[Path, tuple[int, int]]:

@@ -176,7 +176,7 @@ def begin_reading(settings: Settings, body: BodyModel) -> Callable[[Path], Garme
 
 
 def _shipped(settings: Settings) -> list[Path]:
-    return sorted(settings.shipped_garments_dir.glob("*.npz"))
+    return garment_files.list_shipped(settings.shipped_garments_dir, "DRAPE_SHIPPED_GARMENTS_DIR")
 
 
 def set_aside(path: Path, error: Exception) -> str:

@@ -16,7 +16,7 @@ from PIL import Image
 
 from drape.body.model import BodyModel
 from drape.cloth.fabric_table import FABRICS
-from drape.errors import ArtifactError, TooLarge
+from drape.errors import ArtifactError, InputError, TooLarge
 from drape.garment.bound import BoundMesh
 from drape.garment.cache import Garment, save_garment
 from drape.wire.folds_message import unpack_folds
@@ -162,6 +162,14 @@ def test_a_broken_upload_is_set_aside_and_a_broken_shipped_cache_stops_the_start
     runtime.close()
     with pytest.raises(ArtifactError, match=r"broken-0\.npz"):
         DrapeRuntime(make_settings(shipped_garments_dir=tmp_path))
+
+
+@pytest.mark.parametrize("name", ["shipped_garments_dir", "motions_dir"])
+def test_a_missing_folder_of_shipped_files_stops_the_start(
+    make_settings: Callable[..., Settings], tmp_path: Path, name: str
+):
+    with pytest.raises(InputError, match=rf"^DRAPE_{name.upper()}: expected an existing folder"):
+        DrapeRuntime(make_settings(**{name: tmp_path / "none"}))
 
 
 def test_equal_names_get_different_ids_and_the_same_garment_the_same(
