@@ -191,10 +191,16 @@ def _avatars(client: DrapeClient, options: argparse.Namespace) -> None:
 
 
 def _frame_lines() -> Callable[[dict[str, Any]], None]:
-    """A function that writes a line on standard error for each new frame of a job. Ctrl-C leaves the job as it is."""
+    """A function that writes a job's id on standard error, and a line for each new frame. Ctrl-C leaves the job as it
+    is."""
     seen: set[int] = set()
+    named = False
 
     def tell(job: dict[str, Any]) -> None:
+        nonlocal named
+        if not named:  # at once, since whoever breaks off before the first frame needs it to go on
+            print(f"job {job['id']}: {job['frames']} frames", file=sys.stderr)
+            named = True
         for frame in job["told"]:
             if frame["frame"] not in seen:
                 seen.add(frame["frame"])
@@ -228,11 +234,7 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
     check_name(options.out)
     suffix = options.out.suffix.lower()
     betas = _numbers(options.betas)
-    if not options.garment and not options.alive:
-        raise InputError("--garment", expected="one or more", got="none", cure="Name a garment, or --alive.")
-    if options.alive and (suffix not in (".glb", ".npy") or options.tier == "exact"):
-        cure = "Name its clothes as garments for others: GET /avatars/ID tells them."
-        raise InputError("--alive", expected="a .glb or .npy, and no tier exact", got=options.out.name, cure=cure)
+    _check_choices(options, suffix)
     avatar = None if options.on is None else client.avatar(options.on, alive=options.alive).id
     clip = _clip(client, options, betas, avatar).resampled(options.fps)
     choices: dict[str, Any] = {name: getattr(options, name) for name in _options()}
@@ -284,6 +286,22 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
             print(f"{beside}: the mesh that the points belong to")
     size = options.out.stat().st_size
     print(f"{options.out}: {clip.frame_count} frames at {clip.fps:g} per second, {size} bytes")
+
+
+def _check_choices(options: argparse.Namespace, suffix: str) -> None:
+    """Refuses (``InputError``) choices of ``options`` that a file of this ``suffix``, or its tier, does not hold."""
+    exact = options.tier == "exact"
+    if not options.garment and not options.alive:
+        raise InputError("--garment", expected="one or more", got="none", cure="Name a garment, or --alive.")
+    if options.alive and (suffix not in (".glb", ".npy") or exact):
+        cure = "Name its clothes as garments for others: GET /avatars/ID tells them."
+        raise InputError("--alive", expected="a .glb or .npy, and no tier exact", got=options.out.name, cure=cure)
+    if options.body and suffix != ".glb":
+        raise InputError("--body", expected="a .glb", got=options.out.name, cure="Leave it out, or name a .glb.")
+    if (options.rig or options.joints is not None) and (suffix != ".glb" or exact):
+        cure = "Leave it out, name a .glb, or write other files with drape wear."
+        name = "--rig" if options.rig else "--joints"
+        raise InputError(name, expected="a .glb, and no tier exact", got=options.out.name, cure=cure)
 
 
 def _moving(

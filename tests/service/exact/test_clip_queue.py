@@ -109,7 +109,9 @@ def test_the_client_and_the_command_wait_for_it(url: str, done: str, tmp_path: P
     command = ["drape", "--url", url, "--garment", "tube", "--motion", "walk", "--tier", "exact", "--job", job["job"]]
     out = tmp_path / "out.npy"
     assert main([*command, "--out", str(out)]) == 0
-    assert f"job {job['job']}: frame 2, 3 of 3: force left" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert said.startswith(f"job {job['job']}: 3 frames\n")
+    assert f"job {job['job']}: frame 2, 3 of 3: force left" in said
     assert out.read_bytes().endswith(vertices.tobytes())  # the head counts the frames of the motion
     assert main([*command, "--garment", "tube", "tube", "--out", str(out)]) == 2
     assert "one with tier exact" in capsys.readouterr().err
