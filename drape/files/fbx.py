@@ -107,7 +107,8 @@ def _read(payload: bytes, fault: Callable[[str, str, str], DrapeError], *asked: 
     if ended.returncode == 3:
         raise fault("a readable FBX file", ended.stdout.decode(errors="replace")[:100], AGAIN)
     if ended.returncode:
-        got = "one that takes too long" if ended.returncode == -signal.SIGXCPU else "one at which its reader ends"
+        late = sys.platform != "win32" and ended.returncode == -signal.SIGXCPU
+        got = "one that takes too long" if late else "one at which its reader ends"
         raise fault("a readable FBX file", got, AGAIN)
     with np.load(io.BytesIO(ended.stdout), allow_pickle=False) as found:
         return {name: found[name] for name in found.files}

@@ -4,7 +4,7 @@ With the argument ``motion`` these are its nodes in the frames of its longest an
 
 It is a process of its own, since ufbx 0.0.5 frees memory that is still in use (``mesh.faces``, a material's maps), and
 then it crashes. Here every object is kept until the process ends, which it does without freeing any. It limits its own
-memory and time, since files are strangers'.
+memory and time, but not on Windows, since files are strangers'.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ import gc
 import io
 import json
 import os
-import resource
 import sys
 from typing import Any
 
 import numpy as np
+
+if sys.platform != "win32":  # which has no such limits
+    import resource
 
 MEMORY_BYTES, CPU_S = 3 * 2**30, 60
 DEEPEST = 500  # Nodes may lie so deep within each other.
@@ -45,16 +47,22 @@ def _all(held: Any) -> list[Any]:
     return [_of(held, number) for number in range(len(held))]
 
 
-def main() -> None:
-    """Reads the FBX file on standard input, writes its contents to standard output as the npz that ``drape.files.fbx``
-    reads, and ends the process with status 0. Where it cannot read the file it writes the reason instead, and ends with
-    status 3."""
-    gc.disable()
+def _limit() -> None:
+    """Limits this process's time and memory."""
     resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S + 1))
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     least = min(one for one in (soft, hard, MEMORY_BYTES) if one != resource.RLIM_INFINITY)
     resource.setrlimit(resource.RLIMIT_AS, (least, hard))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def main() -> None:
+    """Reads the FBX file on standard input, writes its contents to standard output as the npz that ``drape.files.fbx``
+    reads, and ends the process with status 0. Where it cannot read the file it writes the reason instead, and ends with
+    status 3."""
+    gc.disable()
+    if sys.platform != "win32":
+        _limit()
     import ufbx
 
     moving = sys.argv[1:2] == ["motion"]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +37,15 @@ def test_polygons_become_fans_in_metres_with_texture_coordinates_by_corner():
     assert_allclose(found.vertices, 0.01 * SQUARE, atol=1e-12)
     assert_allclose(found.uv[found.uv_faces].reshape(-1, 2), UV[[0, 1, 2, 0, 2, 3, 4, 5, 6]])
     assert found.notes == ("1 polygons triangulated", "the file states its unit: 0.01 m")
+
+
+def test_it_is_read_on_windows_which_has_no_limits_of_processes():
+    there = "import runpy, sys, numpy, ufbx; sys.platform = 'win32'; sys.modules['resource'] = None; "
+    there += "runpy.run_module('drape.files.fbx_process', run_name='__main__')"
+    command = [sys.executable, "-c", there]
+    ended = subprocess.run(command, input=fbx_of(SQUARE, POLYGONS, UV), capture_output=True, check=True)
+    with np.load(io.BytesIO(ended.stdout)) as found:
+        assert any(name.endswith(".vertices") for name in found.files)
 
 
 def test_a_unit_in_which_nothing_is_worn_is_warned_of_and_does_not_count():
