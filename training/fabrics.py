@@ -1,4 +1,4 @@
-"""Fabrics to train on: those of the table a little changed, and any others within its range."""
+"""Fabrics to train on: those of the table a little changed, and others whose quotients lie within its range."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class FabricBank:
 
     def draw(self, rng: np.random.Generator) -> Fabric:
         """Returns a random fabric that is not like one held out and whose energy is convex at rest: one of the table, a
-        little changed, or one that is log-uniform over the table's range.
+        little changed, or one whose ``_logarithms`` are uniform over the table's range.
 
         Raises ``InputError`` where ``TRIES`` draws give none.
         """
