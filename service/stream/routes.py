@@ -59,6 +59,7 @@ async def stream(socket: WebSocket) -> None:
         await _refuse(socket, error)
     except Exception:
         log.exception("a stream failed")
+        state.runtime.metrics.evictions.labels(InternalError.__name__).inc()
         await _refuse(socket, InternalError())
 
 

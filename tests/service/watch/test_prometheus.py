@@ -95,6 +95,21 @@ def test_a_stream_and_a_clip_are_counted(live: str):
     assert after["process_resident_memory_bytes{}"] > 1e7
 
 
+def test_a_stream_that_ends_by_a_fault_of_ours_is_counted(live: str, monkeypatch: pytest.MonkeyPatch):
+    async def fail(*_: Any) -> None:
+        raise RuntimeError
+
+    async def stream() -> None:
+        async with connect(stream_address(live), subprotocols=PROTOCOLS) as socket:
+            await socket.send(json.dumps({"type": "open", "garment": "tube"}))
+            assert json.loads(await socket.recv())["kind"] == "InternalError"
+
+    monkeypatch.setattr("service.stream.routes.read_opening", fail)
+    before = series(live)
+    asyncio.run(stream())
+    assert gained(before, series(live), "drape_evictions_total{kind=InternalError}") == 1
+
+
 def test_frames_on_time_are_those_within_the_deadline():
     metrics = Metrics()
     for age_s in (0.01, 0.05, 0.2):
