@@ -36,6 +36,7 @@ def script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
         monkeypatch.setattr(made, name, value)
     for name in ("GATHERED_S", "MOST", "LOST_S"):  # which recording sets
         monkeypatch.setattr(card_lane, name, getattr(card_lane, name))
+    (tmp_path / "none").mkdir()
     monkeypatch.setenv("DRAPE_SHIPPED_GARMENTS_DIR", str(tmp_path / "none"))  # it loads those that it draws by itself
     return made
 
