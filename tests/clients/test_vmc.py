@@ -101,11 +101,20 @@ def test_more_packets_than_a_sender_needs_are_thrown_away():
 
 @contextmanager
 def bridge(*words: str) -> Iterator[tuple[int, int]]:
-    """The sender's and the page's port of a running bridge."""
-    command = [sys.executable, "-m", "clients.vmc", *words]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+    """The sender's and the page's port of a running bridge.
+
+    The system gives the port where the page looks to other connections too, so one that has it is waited for.
+    """
+    command, tries = [sys.executable, "-m", "clients.vmc", *words], 20
+    while True:
+        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         assert process.stdout is not None
-        said = process.stdout.readline().split()
+        said, tries = process.stdout.readline().split(), tries - 1
+        if said or not tries:
+            break
+        process.communicate()
+        time.sleep(0.5)
+    with process:
         assert said, "the bridge did not start"
         yield int(said[said.index("port") + 1].rstrip(",")), int(said[-1])
         process.terminate()
