@@ -72,8 +72,8 @@ def write_rest(
     Returns the paths.
 
     The cache holds the garment at rest, from which the service drapes, and the fabric that is nearest to ``fabric``, a
-    name that ``material`` takes. It is moved to ``body`` from ``avatar``, on
-    which it was draped (``drape.garment.intake``). ``report`` gets lines on that.
+    name that ``material`` takes. It is moved to ``body`` from ``avatar``, on which it was draped
+    (``drape.garment.intake``). ``report`` gets lines on that.
     """
     texture = panel_texture(draped.mesh)
     rest = sewn_obj_text(draped.mesh, draped.rest.nodes, texture)
